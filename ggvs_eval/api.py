@@ -31,6 +31,7 @@ from ggvs_eval import (
     results,
     run_folder,
     scoring,
+    side_process,
 )
 from ggvs_eval.datasets import (
     assemble,
@@ -69,7 +70,7 @@ from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry import alignment, epipolar, pinhole, rectification, reproject_depth, sight, source_views
-from ggvs_eval.jobs import engine, job, ledger, processes
+from ggvs_eval.jobs import engine, processes
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import portable
 from ggvs_eval.merged_results import merge_results, tell_scenes_apart
@@ -81,16 +82,16 @@ from ggvs_eval.pipelines.inspection import table as text_tables
 from ggvs_eval.pipelines.methods import registry as method_registry
 from ggvs_eval.pipelines.methods import render_unit, spec
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.stage_costs import DECODED, depth_cost
+from ggvs_eval.pipelines.methods.stage_costs import depth_cost
 from ggvs_eval.pipelines.run import run_plan
 from ggvs_eval.pipelines.run.depth_of_run import DepthProvider
-from ggvs_eval.pipelines.run.derived_files import MadeFiles, cache_frames, cache_path, path_left, seen_from
+from ggvs_eval.pipelines.run.derived_files import cache_frames, frame_tasks, path_task, seen_from
 from ggvs_eval.pipelines.run.evaluate import measure, reopen
 from ggvs_eval.pipelines.run.import_renders import named_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import FITS, UnitJob, diagnostics_picture
+from ggvs_eval.pipelines.run.render import FITS, UnitTask, diagnostics_picture
 from ggvs_eval.pipelines.run.score_code import MEASURING, metric_code
-from ggvs_eval.pipelines.run.score_view import digest_frames, fresh_metrics, metric_options, truth_frames
+from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, sweep_cells, units_of
 from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES, ArrayStack, npz_members
@@ -102,7 +103,6 @@ from ggvs_eval.reports.page.page import fill_page, run_words
 from ggvs_eval.reports.run_groups import read_groups, runs_by_protocol
 from ggvs_eval.reports.tables import table_formats, verdict
 from ggvs_eval.reports.tables.report_tables import main_tables, metric_column
-from ggvs_eval.side_process import SideProcess, SideProcessError
 from ggvs_eval.statistics import decomposition, paired
 from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, describe_short
 from ggvs_eval.statistics.intervals import LEVEL, intervals
@@ -111,4 +111,5 @@ from ggvs_eval.statistics.rank_correlation import answer
 from ggvs_eval.sweep import Sweep
 from ggvs_eval.synthetic.d3dmv_scene import SCENE, write_scene
 from ggvs_eval.synthetic.shipped import MAIN, is_written, write_room
+from ggvs_eval.tasks import run_tasks, task, task_list
 from ggvs_eval.tasks.identity import code_of

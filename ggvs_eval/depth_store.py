@@ -1,12 +1,10 @@
 """Depth maps on disk, keyed by everything they were computed from.
 
-A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key represents.
+A store holds one folder per key and in it one file per instant and `job.json`, which says in words what the key represents.
 Files are written under a temporary name and renamed, so that a killed process leaves either the whole file or none. At
 1345 x 1008 a map takes some 3.9 MB (files/packed_maps.py), plain 6.8 MB, which earlier versions wrote and which is read as well.
 """
 
-import hashlib
-import json
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,8 +18,10 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Map, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.atomic import atomic_file, sweep_files, write_text
+from ggvs_eval.files.atomic import atomic_file, sweep_files
 from ggvs_eval.files.packed_maps import unpack, write_packed
+from ggvs_eval.run_folder import JOB_FILE, write_json
+from ggvs_eval.tasks.task import digest_inputs
 
 CHECK_ENTRIES = ("checked_with", "check")  # entries that the spec of checked depth adds to that of raw depth
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
@@ -59,7 +59,7 @@ def is_known(depth: Map) -> Mask:
 def describe_depth(
     camera: Camera, partners: Sequence[Camera], digests: Mapping[str, str], options: Mapping[str, object]
 ) -> dict[str, object]:
-    """Everything a depth map depends on, as it is written into `spec.json`.
+    """Everything a depth map depends on, as it is written into `job.json`.
 
     Args:
         options: parameters and code of the algorithm, values that JSON knows.
@@ -113,7 +113,7 @@ class DepthStore:
     @staticmethod
     def key(spec: Mapping[str, object]) -> str:
         """Return the key of a description by `describe_depth`: sha256 of its JSON text."""
-        return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
+        return digest_inputs(spec)
 
     def folder(self, key: str) -> Path:
         """Return the folder of the depth maps with that key."""
@@ -128,12 +128,12 @@ class DepthStore:
         return self.path(key, frame).is_file()
 
     def write_spec(self, spec: Mapping[str, object]) -> str:
-        """Open the folder of a spec, with a `spec.json` for its readers, sweep it, and return its key."""
+        """Open the folder of a spec, with a `job.json` that says what it holds, sweep it, and return its key."""
         key = self.key(spec)
         sweep_files(self.folder(key))
-        path = self.folder(key) / "spec.json"
+        path = self.folder(key) / JOB_FILE
         if not path.is_file():
-            write_text(path, json.dumps({"key": key, **spec}, indent=1) + "\n")
+            write_json(path, {"sha256": key, "identity": spec, "files": {}})
         return key
 
     def write(self, key: str, frame: int, depth_map: DepthMap) -> None:

@@ -1,45 +1,43 @@
-"""Depth maps that a store lacks, and those that it needs no more, by the jobs of a plan."""
+"""Depth maps of a store as tasks: maps as they are found, and maps that are checked against these."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 
 from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.run_folder import frame_numbers
+from ggvs_eval.tasks.task import FileTask, left_of
 
 Instants = Mapping[DepthJob, Sequence[int]]  # of each job, ascending
+FOUND, CHECKED = "depth", "checked depth"
 
 
-def depth_left(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
-    """List the maps that a store lacks of some jobs.
-
-    Returns:
-        Those to be found, where a missing check reads them or nothing checks them, and those to be checked.
-    """
-    found: dict[DepthJob, list[int]] = {}
-    checked = {}
+def depth_tasks(jobs: Iterable[DepthJob], frames: Sequence[int], store: DepthStore) -> list[FileTask]:
+    """Return the depth of some jobs as a store holds it; maps that only checks read may go after these."""
+    tasks = []
     for job in dict.fromkeys(jobs):
-        missing = missing_maps(store, job.key, frames)
-        if missing and job.checked_with:
-            checked[job] = missing
-        for each in (job.unchecked, *job.checked_with) if missing else ():
-            found[each] = sorted({*found.get(each, ()), *missing_maps(store, each.key, missing)})
-    return {job: numbers for job, numbers in found.items() if numbers}, checked
+        needs = (job.unchecked, *job.checked_with) if job.checked_with else ()
+        found = [_task(need, frames, store, FOUND) for need in needs]
+        tasks.append(_task(job, frames, store, CHECKED if needs else FOUND, found))
+    return tasks
 
 
-def drop_found(work: Sequence[tuple[Sequence[DepthJob], Sequence[int]]], store: DepthStore) -> None:
-    """Remove maps that only checks read, once every check of the jobs is done; `depth_left` then lists none of them.
-
-    Args:
-        work: jobs with their instants, of all runs that use the store.
-    """
-    if any(left for jobs, frames in work for left in depth_left(jobs, frames, store)):
-        return
-    pairs = [(job, frame) for jobs, frames in work for job in jobs for frame in frames]
-    read = {(each.key, frame) for job, frame in pairs if job.checked_with for each in (job.unchecked, *job.checked_with)}
-    for key, frame in read.difference((job.key, frame) for job, frame in pairs):
-        with suppress(OSError):  # a disk that is read-only keeps it
-            store.path(key, frame).unlink()
+def _task(job: DepthJob, frames: Sequence[int], store: DepthStore, kind: str, needs: Sequence[FileTask] = ()) -> FileTask:
+    return FileTask(
+        name=f"{kind} of {job.camera_name}",
+        folder=store.folder(job.key),
+        inputs=job.spec,
+        files=tuple(store.path(job.key, frame).name for frame in frames),
+        kind=kind,
+        needs=tuple(needs),
+        passes=kind == FOUND,
+        addressed=True,
+    )
 
 
-def missing_maps(store: DepthStore, key: str, frames: Sequence[int]) -> list[int]:
-    """Return the instants whose maps of a key a store lacks."""
-    return [frame for frame in frames if not store.has(key, frame)]
+def missing_depth(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
+    """Return the instants that a store lacks of some jobs: those to be found, and those to be checked."""
+    known = {store.folder(need.key): need for job in jobs for need in (job, job.unchecked, *job.checked_with)}
+    instants: dict[str, dict[DepthJob, list[int]]] = {FOUND: {}, CHECKED: {}}
+    for task in left_of(depth_tasks(jobs, frames, store)):
+        assert isinstance(task, FileTask)
+        instants[task.kind][known[task.folder]] = frame_numbers(task.files)
+    return instants[FOUND], instants[CHECKED]

@@ -20,10 +20,11 @@
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
-    .digests.json                                next to files that are made once: their digests, and their inputs
+    job.json                                     beside all that is made once: what it was made from, and its files
 """
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,6 +181,16 @@ def frame_path(folder: Path, index: int) -> Path:
         'cam00/0012.png'
     """
     return folder / f"{index:04d}.png"
+
+
+def frame_names(numbers: Iterable[int], suffix: str = ".png") -> tuple[str, ...]:
+    """Return the names of the files of some frames, each once and in the order of time."""
+    return tuple(frame_path(Path(), number).with_suffix(suffix).name for number in sorted(set(numbers)))
+
+
+def frame_numbers(names: Iterable[str]) -> list[int]:
+    """Return the frames of some files."""
+    return [int(Path(name).stem) for name in names]
 
 
 def diagnostics_path(folder: Path, name: str, index: int) -> Path:

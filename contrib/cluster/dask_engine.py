@@ -9,8 +9,7 @@ from threading import Event, Thread
 from typing import Any, TypeVar
 
 from ggvs_eval.errors import GO_ON, RenderError
-from ggvs_eval.jobs.engine import start_remedy
-from ggvs_eval.jobs.ledger import LostJob
+from ggvs_eval.jobs.engine import LostJob, start_remedy
 from ggvs_eval.jobs.processes import share_cpus
 from ggvs_eval.kernels import usable_cpus
 

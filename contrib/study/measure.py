@@ -1,6 +1,6 @@
 """Measure one series: a take under one ladder and seed, at every strength, by every metric that is asked for."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -10,9 +10,8 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.study.clips import Clip, Take
-from ggvs_eval.contrib.study.ladders import LADDERS, OF_FRAMES, Ladder
+from ggvs_eval.contrib.study.ladders import OF_FRAMES, Ladder
 from ggvs_eval.contrib.study.rendered_ladders import EXCHANGES, sources_at
-from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.image.regions import REGION
 from ggvs_eval.metrics.metric import Metric, MetricOptions, TableMetric, Value, ViewMetric
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, RenderedPath
@@ -21,9 +20,8 @@ from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, se
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.pipelines.run.score_path import PATH_SCORES
-from ggvs_eval.pipelines.run.score_view import fresh_metrics
-from ggvs_eval.run_folder import JOB_FILE, read_json
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import Task
 
 # 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
 # where they are of single frames every `EVERY`th of them.
@@ -59,33 +57,30 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 
-def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]) -> Job:
-    """Return the job of one series; in it a metric is measured again when its code has changed, and all when the frames have.
+def series_tasks(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]) -> list[Task]:
+    """Return what measures one series, a task per metric; they are done together.
 
     Args:
         ladder: how; None for the undegraded frames.
     """
     name = ladder.name if ladder else UNDEGRADED
-    identity: dict[str, Any] = {
+    frames = {
         "take": take.digest,
         "ladder": code_of(ladder.module if ladder else OF_FRAMES),
         "strengths": list(strengths_of(ladder)),
         "seed": seed,
-        "metrics": {metric.name: _code(metric) for metric in select_metrics(metrics)},
     }
     folder = out / "cells" / name / take.name.replace(", ", "/") / f"seed{seed}"
-    identity["metrics"] = _still_valid(folder / JOB_FILE, identity) | identity["metrics"]
-    return Job(f"{name} in {take.name}", folder, identity, partial(_measure, folder / JOB_FILE, take, name, identity))
-
-
-def _still_valid(record_file: Path, identity: Mapping[str, Any]) -> dict[str, str]:
-    """Return the metrics that an earlier call has measured, with the code that they still have; they stay, asked for or not."""
-    if not record_file.is_file():
-        return {}
-    known = read_json(record_file)["identity"]
-    codes = {name: _code(METRICS[name]) for name in known["metrics"] if name in METRICS}
-    fresh = fresh_metrics(known, {**identity, "metrics": codes})
-    return {name: code for name, code in codes.items() if name in fresh}
+    return [
+        Task(
+            name=f"{name} in {take.name}",
+            folder=folder / metric.name,
+            inputs=frames | {"metric": _code(metric)},
+            together=partial(_measure, take, ladder, seed),
+            above=1,
+        )
+        for metric in select_metrics(metrics)
+    ]
 
 
 def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
@@ -102,22 +97,12 @@ def _code(metric: Metric) -> str:
     return metric_code(metric)
 
 
-def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any], _folder: Path) -> dict[str, Any]:
-    kept = read_json(record_file) if record_file.is_file() else {"identity": {}, "levels": []}
-    fresh = fresh_metrics(kept["identity"], identity)
-    stale = tuple(metric for metric in identity["metrics"] if metric not in fresh)
-    ladder, seed = LADDERS.get(name), identity["seed"]
-    levels = []
-    for number, strength in enumerate(identity["strengths"]):
-        level = kept["levels"][number] if fresh else {"values": {}, "not_computed": {}}
-        values, reasons = _at(take, ladder, strength, seed, stale) if stale else ({}, {})
-        levels.append(
-            {
-                "values": {key: value for key, value in level["values"].items() if key in fresh} | values,
-                "not_computed": {key: why for key, why in level["not_computed"].items() if key in fresh} | reasons,
-            }
-        )
-    return {"levels": levels}
+def _measure(take: Take, ladder: Ladder | None, seed: int, tasks: Sequence[Task]) -> Iterator[tuple[Task, dict[str, Any]]]:
+    metrics = tuple(task.folder.name for task in tasks)
+    levels = [_at(take, ladder, strength, seed, metrics) for strength in strengths_of(ladder)]
+    for task, metric in zip(tasks, metrics, strict=True):
+        values = [numbers.get(metric) for numbers, _ in levels]
+        yield task, {"values": values, "not_computed": [reasons.get(metric) for _, reasons in levels]}
 
 
 def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]) -> tuple[Numbers, Reasons]:

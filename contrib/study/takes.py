@@ -23,7 +23,6 @@ from ggvs_eval.files.images import resize
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.pipelines.inspection.capture.check import LAYOUT, open_uncalibrated, uncalibrated_capture
 from ggvs_eval.pipelines.methods.render_unit import SourcePlan
 from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
@@ -33,6 +32,8 @@ from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.shipped import write_room
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.run_tasks import run_tasks
+from ggvs_eval.tasks.task import Task
 
 K = 4
 CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study"
@@ -155,21 +156,21 @@ def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, wor
     scale = options.size / min(capture.cameras[0].size)
     width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
     capture = capture.resized(width, height, "area")
-    folder, common = out / "takes" / name, _identity(capture, options)
-    jobs = [
-        Job(
-            f"{name}, {draft.name}",
-            folder / draft.name,
-            common | {"depth": draft.depth},
-            partial(fill_take, draft.make, options.on),
+    folder, common = out / "takes" / name, _inputs(capture, options)
+    tasks = [
+        Task(
+            name=f"{name}, {draft.name}",
+            folder=folder / draft.name,
+            inputs=common | {"depth": draft.depth},
+            make=partial(fill_take, draft.make, options.on),
         )
         for draft in _drafts(out / "captures" / name, capture, options, workers)
     ]
-    run_jobs(jobs, 1, f"clips of {name}")
-    return [Take.open(job.folder, job.name) for job in jobs]
+    run_tasks(tasks, 1, f"clips of {name}")
+    return [Take.open(task.folder, task.name) for task in tasks]
 
 
-def _identity(capture: Capture, options: StudyOptions) -> dict[str, Any]:
+def _inputs(capture: Capture, options: StudyOptions) -> dict[str, Any]:
     """Dependencies of the clips of a capture; with degraded renderings, also the rendering code."""
     taken = {"frames": options.frames, "size": options.size, "on": options.on}
     code = code_of(RENDERER, "ggvs_eval.pipelines.online") if options.on == "rendering" else ""

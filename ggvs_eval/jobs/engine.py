@@ -22,7 +22,6 @@ from typing import IO, Any, Literal, TypeVar
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import GO_ON, AbsentPartError, RenderError
-from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.machine import has_room
 from ggvs_eval.jobs.processes import borrowed_pool, worker_pool
 from ggvs_eval.kernels import usable_cpus
@@ -44,6 +43,17 @@ ENGINES: Registry[Callable[..., Any]] = Registry("engines", built_in.ENGINES)
 
 
 @dataclass(frozen=True)
+class LostJob:
+    """Work that took its process with it as often as it was tried.
+
+    Attributes:
+        reason: how often, and what to do; one line.
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class Engine:
     """Executor of jobs: the place where they run, and how many run at once.
 
@@ -57,29 +67,40 @@ class Engine:
     engine: Literal["processes", "dask"] = "processes"
     scheduler: str | None = None
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | LostJob]]:
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item], apart: bool = False
+    ) -> Iterator[tuple[int, Result | LostJob]]:
         """Do the work for every item and yield (index, result) in the order in which they end.
 
         An item whose process dies is done again; one that takes its process with it every time is a `LostJob`.
 
         Args:
             work: a module-level function or a `functools.partial` of one.
+            apart: a single item, too, has a process of its own, which it may end.
         """
         if self.jobs < 1:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")
         if self.engine == "dask":
-            on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](work, items, self.jobs, self.scheduler)
+            checked = partial(_with_same_code, work, package_digest()) if self.scheduler else work
+            on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](checked, items, self.jobs, self.scheduler)
             return on_dask
         if self.scheduler:
             raise RenderError(f"--scheduler {self.scheduler}: wanted --engine dask with it, got processes; add it")
 
-        return run_in_processes(work, items, self.jobs)
+        return run_in_processes(work, items, self.jobs, apart)
 
     def place(self, path: Path) -> Path:
         """Return a path as every worker understands it: those of dask may work in another folder."""
         if self.engine == "dask" and (reason := ENGINES.why_absent("dask")):
             raise AbsentPartError(reason)  # before anything is read
         return path.resolve() if self.engine == "dask" else path
+
+
+def _with_same_code(work: Callable[[Item], Result], code: str, item: Item) -> Result:
+    """Do one item on a worker, which must have the caller's code."""
+    if code != package_digest():
+        raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
+    return work(item)
 
 
 Workers = int | Engine  # a number means that many processes of this machine
@@ -91,9 +112,9 @@ def as_engine(workers: Workers) -> Engine:
 
 
 def run_in_processes(
-    work: Callable[[Item], Result], items: Sequence[Item], workers: int
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int, apart: bool = False
 ) -> Iterator[tuple[int, Result | LostJob]]:
-    """Do the work for every item; with one worker in this very process, as one item unless it says that it is ``foreign``.
+    """Do the work for every item; with one worker, or one item that need not be apart, in this very process.
 
     A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
     then tried again alone, to find the one that ran out of memory.
@@ -104,7 +125,7 @@ def run_in_processes(
     Yields:
         (index of an item, what came of it), in the order in which they end.
     """
-    if workers == 1 or (len(items) == 1 and not getattr(items[0], "foreign", False)):
+    if workers == 1 or (len(items) == 1 and not apart):
         yield from ((index, work(item)) for index, item in enumerate(items))
         return
     waiting = deque(enumerate(items))
@@ -219,15 +240,6 @@ def run_all(work: Callable[[Item], object], items: Sequence[Item], workers: Work
     """
     if not items:
         return
-    engine = as_engine(workers)
-    checked = partial(_do_one, work, package_digest()) if engine.scheduler else work
-    for _, outcome in track(engine.run(checked, items), description, len(items)):
+    for _, outcome in track(as_engine(workers).run(work, items), description, len(items)):
         if isinstance(outcome, LostJob):
             raise RenderError(f"{description}: {outcome.reason}; {GO_ON}")
-
-
-def _do_one(work: Callable[[Item], object], code: str, item: Item) -> None:
-    """Do one item on a worker, which must have the caller's code."""
-    if code != package_digest():
-        raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
-    work(item)

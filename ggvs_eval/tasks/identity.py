@@ -36,9 +36,6 @@ def code_of(*names: str) -> str:
     Args:
         names: packages, which are rooms, or modules, each of which stands for the room that it is in;
             a module of a plug-in counts with its whole file or package.
-
-    Raises:
-        PluginError: a plug-in without sources.
     """
     ours = {name for name in names if name.partition(".")[0] == PACKAGE}
     ours.update(room for room in COMMON if importlib.util.find_spec(room))

@@ -40,7 +40,7 @@ def report(
         print(LEADERBOARDS[to](runs, out or Path("leaderboard.html")))
     elif to == "page":
         from ggvs_eval.pipelines.run.evaluate import report as write
-        from ggvs_eval.pipelines.run.work_left import describe_outdated
+        from ggvs_eval.pipelines.run.outlook import describe_outdated
 
         for run in runs:
             if outdated := describe_outdated([RunFolder(run)]):

@@ -12,7 +12,6 @@ import tyro
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, ResultsError, WeightsError
-from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
@@ -37,6 +36,7 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method, named_sce
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.tasks.task_list import Failure
 
 NO_SPLATS: Mapping[str, Path] = {}
 DEPTH_OUTPUTS: Registry[Any] = Registry("outputs of depth", built_in.DEPTH_OUTPUTS)
@@ -69,9 +69,9 @@ def prepare(
         engine: job execution.
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
+    from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.run.prepare import prepare_run
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-    from ggvs_eval.pipelines.run.work_left import print_plan
 
     networks = _networks((), device)
     root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
@@ -239,8 +239,8 @@ def run(
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
+    from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-    from ggvs_eval.pipelines.run.work_left import print_plan
     from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, room_labels, run_demos, unpack_rooms
 
     methods, splats = named_scenes(methods)
@@ -298,7 +298,7 @@ def sweep(
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.run.work_left import print_plan
+    from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.sweep.demo_runs import unpack_rooms
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
     from ggvs_eval.sweep import load_sweep
@@ -340,8 +340,8 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: run folder, or folder of a sweep.
     """
-    from ggvs_eval.jobs.ledger import describe_status
-    from ggvs_eval.pipelines.run.work_left import describe_outdated
+    from ggvs_eval.pipelines.run.outlook import describe_outdated
+    from ggvs_eval.pipelines.run.status import describe_status
 
     print(describe_status(folder))
     if outdated := describe_outdated([RunFolder(folder)]):

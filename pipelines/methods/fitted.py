@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.toml_tables import build_table
-from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
 from ggvs_eval.pipelines.methods.splats import (
@@ -23,6 +22,7 @@ from ggvs_eval.pipelines.methods.splats import (
 )
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, read_json
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
+from ggvs_eval.tasks.task import Made
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class FittedMethod(SceneMethod):
         takes_device = "device" in [each.name for each in fields(resolve_name(self.fitter))]
         return replace(self, device=device) if takes_device else self
 
-    def _fit(self, unit: RenderUnit) -> Entry:
+    def _fit(self, unit: RenderUnit) -> Made:
         if unit.fit is None:
             raise RenderError(f"{self.title} is fitted per scene, got a run planned without it; prepare the run with this method")
         return unit.fit

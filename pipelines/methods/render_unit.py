@@ -9,8 +9,8 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore
-from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
+from ggvs_eval.tasks.task import Made
 
 PATH = "path"  # the unit of the camera path, besides the test views
 Shot = tuple[int, int, Camera]  # number of the frame in its folder, instant, target
@@ -53,7 +53,7 @@ class RenderUnit:
     path_frame: int
     capture: Capture
     depths: Path
-    fit: Entry | None = None
+    fit: Made | None = None
 
     @property
     def shots(self) -> list[Shot]:

@@ -5,7 +5,7 @@ from ggvs_eval.results import split_label
 
 # Core-seconds per megapixel at `pace` 1, K = 4, frames of 480 x 360 to 1352 x 1014; a plug-in's method has none until it has
 # rendered a frame.
-DECODED, CHECKED_DEPTH = 0.3, 0.5
+COSTS = {"truth": 0.3, "checked depth": 0.5, "mask": 0.3, "path depth": 0.6}  # of what has one way to be made
 DEPTH = {"sgbm": 4.0, "live": 0.9, "raft": 25.0, "itermvs": 26.0}
 RENDERED = {
     "no-blending": 0.3,
@@ -21,6 +21,8 @@ RENDERED = {
     "interpolation": 0.6,
 }
 SCORED, LPIPS = 0.3, {"vgg": 2.0, "vgg-bf16": 2.5, "alex": 0.4}
+# Per pixel: frames as PNG, with and without sensor noise as on the demo; depth as it is stored; renders and their small copies.
+N_BYTES = {"truth": 2.1, "depth": 2.9, "checked depth": 2.9, "path depth": 4.0, "render": 1.95, "path render": 1.95}
 # Each stage of a plan's table, and what makes it shorter.
 STAGES: dict[str, str] = {
     "decoding": "fewer views.test",

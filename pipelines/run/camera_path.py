@@ -9,14 +9,13 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.llff import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.methods.stage_costs import DECODED
-from ggvs_eval.pipelines.run.derived_files import cache_path, path_left
-from ggvs_eval.pipelines.run.path_depth import path_files, poses_left, write_path_depth
-from ggvs_eval.pipelines.run.run_plan import TRUTH_BYTES, Piece, RunPlan
+from ggvs_eval.pipelines.run.derived_files import path_task
+from ggvs_eval.pipelines.run.path_depth import path_depth_task
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import write_json
-
-DEPTH_COST, DEPTH_BYTES = 0.6, 4.0  # core-seconds per megapixel, see `stage_costs`; bytes per pixel
+from ggvs_eval.tasks.run_tasks import make_files
+from ggvs_eval.tasks.task import FileTask
 
 
 def complete(plan: RunPlan) -> RunPlan:
@@ -53,36 +52,29 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
     return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
 
 
-def work_left(plan: RunPlan) -> list[Piece]:
-    """List the true images and the depth along the path that are missing or were changed."""
-    missing = []
+def tasks(plan: RunPlan) -> list[FileTask]:
+    """Return what writes the true images along the path and its depth; nothing if there is no path."""
+    if not plan.path:
+        return []
+    true_images = []
     if plan.path_images is not None:
-        folder, resize_filter = plan.run.path("truth"), plan.protocol.synthesis.resize_filter
-        poses = path_left(plan.path_images, plan.path[0].target.size, resize_filter, folder)
-        missing.append(plan.piece("truth", folder, len(poses), DECODED, TRUTH_BYTES))
-    files = path_files(plan.run.path_depth, plan.capture, _sources(plan), plan.path_frame)
-    n_poses = len(poses_left(files, len(plan.path)))
-    return [*missing, plan.piece("path depth", files.folder, n_poses, DEPTH_COST, DEPTH_BYTES)]
+        size, resize_filter = plan.path[0].target.size, plan.protocol.synthesis.resize_filter
+        true_images.append(path_task(plan.path_images, size, resize_filter, plan.run.path("truth")))
+    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
+    depths = DepthStore(plan.run.depth)
+    return [*true_images, path_depth_task(plan.capture, poses, plan.path_frame, depths, plan.run.path_depth)]
 
 
 def prepare(plan: RunPlan, _workers: Workers) -> None:
     """Write the path's images where the capture has them, its poses with their sources, and its depth."""
     if not plan.path:
         return
-    run, targets = plan.run, [pose.target for pose in plan.path]
-    if plan.path_images is not None:
-        resize_filter = plan.protocol.synthesis.resize_filter
-        cache_path(plan.path_images, targets[0].size, resize_filter, run.path("truth"))
+    targets = [pose.target for pose in plan.path]
     record = {
         "frame": plan.path_frame,
         "centres": [target.centre.tolist() for target in targets],
         "cameras": [target.to_json() for target in targets],
         "sources": [list(pose.depth_keys) for pose in plan.path],
     }
-    write_json(run.path_record, record)
-    store = DepthStore(run.depth)
-    write_path_depth(plan.capture, _sources(plan), plan.path_frame, store, run.path_depth)
-
-
-def _sources(plan: RunPlan) -> list[tuple[Camera, dict[str, str]]]:
-    return [(pose.target, pose.depth_keys) for pose in plan.path]
+    write_json(plan.run.path_record, record)
+    make_files(tasks(plan), 1, "camera path")

@@ -13,6 +13,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
+from ggvs_eval.depth_work import missing_depth
 from ggvs_eval.errors import AbsentPartError
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.jobs.engine import Workers
@@ -100,12 +101,12 @@ class NearestCameras:
         self, capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, _workers: Workers
     ) -> None:
         """Write maps that are unknown everywhere."""
-        for job in jobs:
+        found, _ = missing_depth(jobs, frames, store)
+        for job, instants in found.items():
             camera, key = capture.camera(job.camera_name), store.write_spec(job.spec)
             unknown = np.zeros((camera.height, camera.width), np.float32)
-            for frame in frames:
-                if not store.has(key, frame):
-                    store.write(key, frame, DepthMap(unknown, unknown))
+            for frame in instants:
+                store.write(key, frame, DepthMap(unknown, unknown))
 
     def live_rig(self, _cameras: object, _partners: object) -> None:
         """Return nothing: no depth is found."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
 from ggvs_eval.coverage import lacks_path, read_coverage, require_imported
@@ -18,11 +18,9 @@ from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
-from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
-from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
+from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import note_labels
@@ -32,9 +30,12 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.run_tasks import attempt_tasks, run_tasks
+from ggvs_eval.tasks.task import Task, left_of
+from ggvs_eval.tasks.task_list import Failure, TaskList
 
 Value = TypeVar("Value")
-AnyJob = TypeVar("AnyJob", bound=Job)
+AnyTask = TypeVar("AnyTask", bound=Task)
 
 
 def evaluate(
@@ -122,22 +123,25 @@ def report(
     for run in map(RunFolder, roots):
         require_imported(run, run.labels())
     templates = Path(str(resources.files("ggvs_eval.reports")))
-    made_from = {
-        "code": [code_of(*section_modules()), digest_folder(templates, without=["__pycache__"])],
-        "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
-        "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
-        "options": [with_figures, standalone, [*columns]],
-        "excel": has_excel(),
-    }
     if not roots:
         return write_report(roots, out, tables_of, with_figures, standalone, columns)  # which says that it takes a run
     folder = RunFolder(roots[0]).report if out is None else out
-    written = MadeFiles(folder, made_from)
-    if written.are_whole():
-        return folder / "index.html"
-    page = write_report(roots, out, tables_of, with_figures, standalone, columns, jobs)
-    written.note(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file() and file.name != DIGESTS)
-    return page
+    inputs = {
+        "code": [code_of(*section_modules()), digest_folder(templates, without=["__pycache__"])],
+        "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
+        "called": [[Path(root).name for root in folders] for folders in (roots, tables_of)],
+        "options": [with_figures, standalone, [*columns]],
+        "excel": has_excel(),
+    }
+
+    def write(temporary: Path) -> dict[str, Any]:
+        write_report(roots, temporary, tables_of, with_figures, standalone, columns, jobs)
+        return {}
+
+    task = Task(name="report", folder=folder, inputs=inputs, make=write, joins=True)
+    if not task.is_done():
+        task.run()
+    return folder / "index.html"
 
 
 @dataclass
@@ -145,7 +149,7 @@ class Stages:
     """Place where the stages of some runs are worked through.
 
     Attributes:
-        root: folder of the run, or of the sweep; its job logs know all jobs.
+        root: folder of the run, or of the sweep; its lists name all tasks.
         goes_on: note what fails and continue with the rest; otherwise the first stage with a failure raises it.
     """
 
@@ -158,16 +162,16 @@ class Stages:
         """Do something; None if it failed."""
         return attempt(name, work, self.failures) if self.goes_on else work()
 
-    def note(self, stage: str, jobs: Sequence[Job]) -> None:
-        """Write the jobs of a stage into its job log; those of other shards and sweeps stay."""
-        Ledger(self.root, stage).write([job.entry for job in jobs], keep=self.goes_on)
+    def note(self, stage: str, tasks: Sequence[Task]) -> None:
+        """Write the tasks of a stage into its list; those of other shards and sweeps stay."""
+        TaskList(self.root, stage).write(tasks, keep=self.goes_on)
 
-    def run(self, stage: str, jobs: Sequence[Job], doing: str) -> int:
-        """Run the jobs not done yet, and return their number."""
-        ledger = Ledger(self.root, stage)
+    def run(self, stage: str, tasks: Sequence[Task], doing: str) -> int:
+        """Run the tasks that are not done yet, and return their number."""
+        task_list = TaskList(self.root, stage)
         if not self.goes_on:
-            return run_jobs(jobs, self.engine, doing, ledger)
-        tried = attempt_jobs(jobs, self.engine, doing, ledger)
+            return run_tasks(tasks, self.engine, doing, task_list)
+        tried = attempt_tasks(tasks, self.engine, doing, task_list)
         self.failures += tried.failures
         return tried.done
 
@@ -197,22 +201,24 @@ def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan
 
 
 def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
-    """Fit and render the rest, jobs without a fit first. Returns the number of rendering jobs that were run.
+    """Fit and render the rest, first what waits for no fit. Returns the number of units that were rendered.
 
     Raises:
         DeviceError: no such device here.
-        RenderError: a method that cannot be made, or jobs that failed; each is listed.
+        RenderError: a method that cannot be made, or tasks that failed; each is listed.
         WeightsError: a method lacks its weights, or they are not its own.
     """
-    jobs = [_named(job, plan.name) for plan in plans for job in plan.jobs.render]
-    fits = {fit.folder: _named(fit, plan.name.rpartition("/")[0]) for plan in plans for fit in plan.jobs.needed_fits}
-    fitted = {fit.label for plan in plans for fit in plan.jobs.fit}
-    stages.note("render", jobs)
-    done = stages.run("render", [job for job in jobs if job.label not in fitted], "rendering")
+    renders = [_named(task, plan.name) for plan in plans for task in plan.renders]
+    stages.note("render", renders)
+    done = stages.run("render", [task for task in renders if not task.needs], "rendering")
+    from_scenes = [task for task in renders if task.needs]
+    left = {task.folder for task in left_of(from_scenes)}
+    needs = {need.folder: need for task in from_scenes for need in task.needs if isinstance(need, Task)}
+    fits = [need for need in needs.values() if need.is_done() or need.folder in left]
     if fits:
-        stages.note("fit", [*fits.values()])
-        stages.run("fit", [*fits.values()], "fitting")
-        done += stages.run("render", [job for job in jobs if job.label in fitted], "rendering from fitted scenes")
+        stages.note("fit", fits)
+        stages.run("fit", fits, "fitting")
+    done += stages.run("render", from_scenes, "rendering from fitted scenes")
     for plan in plans:
         note_labels(plan.run, [*plan.methods, *plan.request.imports])
     return done
@@ -236,10 +242,10 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
         work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
         scores = stages.attempt(f"score {plan.name}", work)
         planned += [] if scores is None else [(plan, scores)]
-    jobs = {plan.name: [_named(job, plan.name) for job in scores.jobs] for plan, scores in planned}
-    stages.note("score", [job for some in jobs.values() for job in some])
-    stages.run("score", [job for some in jobs.values() for job in some], "scoring")
-    return [(plan, scores) for plan, scores in planned if all(job.is_done() for job in jobs[plan.name])]
+    tasks = [_named(task, plan.name) for plan, scores in planned for task in scores.tasks]
+    stages.note("score", tasks)
+    stages.run("score", tasks, "scoring")
+    return [(plan, scores) for plan, scores in planned if all(task.is_done() for task in scores.tasks)]
 
 
 def _left_unfinished(plan: RunPlan) -> set[str]:
@@ -256,5 +262,5 @@ def _left_unfinished(plan: RunPlan) -> set[str]:
     return lacking
 
 
-def _named(job: AnyJob, run: str) -> AnyJob:
-    return replace(job, name=f"{run}: {job.name}") if run else job
+def _named(task: AnyTask, run: str) -> AnyTask:
+    return replace(task, name=f"{run}: {task.name}") if run else task

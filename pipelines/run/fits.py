@@ -1,4 +1,4 @@
-"""Fits: one scene per fold by a method that is fitted, one job per (method, seed, fold), which continues where it was killed."""
+"""Fits: one scene per fold by a method that is fitted, one task per (method, seed, fold), which continues where it was killed."""
 
 import shutil
 import sys
@@ -18,13 +18,14 @@ from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.run.folds import ALL, FoldPlan, fill_folds, plan_folds
 from ggvs_eval.pipelines.run.footage import fold_footage
-from ggvs_eval.pipelines.run.render import FITS, UnitJob
-from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan, visible_cameras
+from ggvs_eval.pipelines.run.render import FITS, UnitTask
+from ggvs_eval.pipelines.run.run_plan import RunPlan, visible_cameras
 from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine
 from ggvs_eval.run_folder import REFUSED, read_json, write_json
 from ggvs_eval.scene_fitter import Footage, SceneFitter
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import AnyTask
 
 if TYPE_CHECKING:  # which can be deleted alone
     from ggvs_eval.pipelines.methods.fitted import FittedMethod
@@ -59,22 +60,24 @@ class FitPlan:
         """Depth that it is shown, and at which instants."""
         return self.fold.jobs, self.depth_indices
 
-    def job(self, capture: Capture, shared: Path) -> UnitJob:
-        """Return the job of the fit; its folder is the scene, and ``job.json`` says what it took.
+    def task(self, capture: Capture, shared: Path) -> UnitTask:
+        """Return the task of the fit; its folder is the scene, and ``job.json`` says what it took.
 
         Args:
-            capture: whose footage is prepared by the time the job runs.
+            capture: whose footage is prepared by the time it runs.
             shared: folder of the captured frames, of the depth store and of the fits.
         """
         depths, seed = DepthStore(shared / "depth"), self.method.seed
         footage = fold_footage(capture, self.fold, self.indices, depths, seed)
         name = f"{self.label}, {self.fold.name}"
-        return UnitJob(
+        return UnitTask(
             name=name,
             folder=shared / FITS / self.label / self.fold.name,
-            identity=_identity(capture, self),
-            work=partial(_fit, name, self.method, footage),
+            inputs=_inputs(capture, self),
+            make=partial(_fit, name, self.method, footage),
             resumes=True,
+            kind="fit",
+            pace=self.label,
             label=self.label,
             units=self.fold.units,
             foreign=self.method.foreign,
@@ -93,14 +96,13 @@ def complete(plan: RunPlan) -> RunPlan:
     return replace(plan, request=replace(plan.request, protocol=protocol), fits=fits)
 
 
-def work_left(plan: RunPlan) -> list[Piece]:
-    """List the scenes that are left to fit."""
-    fits = plan.jobs.needed_fits
-    return [plan.piece("fit", fit.folder, int(not fit.is_done()), None) for fit in fits]
+def tasks(_plan: RunPlan) -> list[AnyTask]:
+    """Return nothing: what is rendered from a scene needs its fit."""
+    return []
 
 
 def prepare(_plan: RunPlan, _workers: Workers) -> None:
-    """Do nothing: fits are jobs, which run before what is rendered from them."""
+    """Do nothing: fits are run before what is rendered from them."""
 
 
 def plan_fits(
@@ -129,7 +131,7 @@ def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range
     return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames
 
 
-def _identity(capture: Capture, fit: FitPlan) -> dict[str, Any]:
+def _inputs(capture: Capture, fit: FitPlan) -> dict[str, Any]:
     """Everything that the scene depends on; what is held out is no part of it."""
     cameras, spec = {name: capture.camera(name).to_json() for name in fit.cameras}, fit.method
     return {

@@ -9,6 +9,8 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +18,20 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.coverage import IMPORT_FILE, read_import
 from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError, no_such_path
 from ggvs_eval.files.archive import Limits, is_archive, unpack
-from ggvs_eval.files.atomic import absent_unless_made, atomic_folder, remove_leftovers, scratch_folder
+from ggvs_eval.files.atomic import absent_unless_made, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.claim import require_protocol
-from ggvs_eval.pipelines.run.derived_files import MadeFiles
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.progress import track
 from ggvs_eval.protocol import Protocol, load_protocol, packaged_protocols
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
-from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, as_ranges, frame_path, write_json
+from ggvs_eval.tasks.task import Task
 
 NAME = re.compile(r"\w[\w.+-]*")
 # An archive may hold renders, truth, depth and masks of each frame, with little that compresses.
@@ -110,7 +112,10 @@ def _import(
     sources = [path] if packed else KINDS[kind].files(path, request)
     identity = _identity(request, path, sources, allow_partial)
     record = read_import(run, request.label)
-    if record and record["identity"] == identity and MadeFiles(run.root / "renders" / request.label, identity).are_whole():
+    target = run.root / "renders" / request.label
+    task = Task(name=request.label, folder=target, inputs=identity)
+    is_earlier = record is not None and not (target / JOB_FILE).is_file() and _are_there(target, record)
+    if record and record["identity"] == identity and (task.is_done() or is_earlier):
         return record
     root = unpack(path, unpacked, _limits(request), RenderError) if packed else path
     kind = kind or detect(root, request)
@@ -128,24 +133,28 @@ def _import(
         "counted_from": 0 if request.first_frame is not None else renders.first,  # a guess; what the user says is none
         "identity": identity,
     }
-    return _put(run.root / "renders" / request.label, renders, fitted, record, workers, link)
-
-
-def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int, link: bool) -> dict[str, Any]:
-    """Fill a folder next to the target, then let it take the target's place."""
-    with atomic_folder(target) as temporary:
-        views = {view: (renders.views[view], frames) for view, frames in fitted.usable.items()}
-        notes = _write(views, temporary, workers)
-        if not link:
-            _copy_linked(temporary, target.name)
-        record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
-        write_json(temporary / IMPORT_FILE, record)
-        names = (frame_path(Path(view), frame).as_posix() for view, frames in fitted.usable.items() for frame in frames)
-        MadeFiles(temporary, record["identity"]).note(names)
-        if target.is_symlink():
-            target.unlink()
-        shutil.rmtree(target, ignore_errors=True)
+    if target.is_symlink():
+        target.unlink()
+    replace(task, make=partial(_fill, renders, fitted, record, workers, link, request.label)).run()
     return record
+
+
+def _are_there(target: Path, record: Mapping[str, Any]) -> bool:
+    """Return whether an earlier version's import has its frames; it knew no list of files."""
+    frames = (frame_path(target / view, frame) for view, numbers in record["frames"].items() for frame in numbers)
+    return all(frame.is_file() for frame in frames)
+
+
+def _fill(
+    renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int, link: bool, label: str, folder: Path
+) -> dict[str, Any]:
+    views = {view: (renders.views[view], frames) for view, frames in fitted.usable.items()}
+    notes = _write(views, folder, workers)
+    if not link:
+        _copy_linked(folder, label)
+    record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
+    write_json(folder / IMPORT_FILE, record)
+    return {}
 
 
 def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Path, workers: int) -> dict[str, list[str]]:

@@ -2,8 +2,9 @@
 
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.run_folder import write_json
+from ggvs_eval.tasks.task import AnyTask
 
 TIMED_FRAMES = 4  # of each test view, behind one that warms caches
 
@@ -13,8 +14,8 @@ def complete(plan: RunPlan) -> RunPlan:
     return plan
 
 
-def work_left(_plan: RunPlan) -> list[Piece]:
-    """Return nothing: it takes seconds."""
+def tasks(_plan: RunPlan) -> list[AnyTask]:
+    """Return nothing: a time is measured once, and depends on the machine alone."""
     return []
 
 

@@ -1,6 +1,7 @@
 """Depth along a camera path, the same for all methods: input of the view-consistency measures."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
-from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
+from ggvs_eval.pipelines.run.derived_files import seen_from
 from ggvs_eval.progress import track
+from ggvs_eval.run_folder import frame_names, frame_numbers
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.run_tasks import make_files
+from ggvs_eval.tasks.task import FileTask
 
 TAU_M, NOISE_M = 0.02, 0.001  # as `OnlineOptions` has them
 
@@ -22,7 +26,14 @@ TAU_M, NOISE_M = 0.02, 0.001  # as `OnlineOptions` has them
 def write_path_depth(
     capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
 ) -> None:
-    """Fuse the depth of each pose's source cameras and write it; what is there, and made from the same, is kept.
+    """Write the depth of each pose that is missing; arguments as of `path_depth_task`."""
+    make_files([path_depth_task(capture, poses, frame, store, folder)], 1, "depth along the path")
+
+
+def path_depth_task(
+    capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
+) -> FileTask:
+    """Return what fuses the depth of each pose's source cameras.
 
     Args:
         poses: each pose with its source cameras and the keys of their depth.
@@ -32,31 +43,36 @@ def write_path_depth(
         A method's own depth would hide its contradictions from the measures; this one is the same for all. It is fused as the
         online method does it (Eq. 3), without history.
     """
-    files = path_files(folder, capture, poses, frame)
-    for index in track(poses_left(files, len(poses)), "depth along the path"):
-        target, keys = poses[index]
-        depth, file = _fused_depth(capture, target, keys, frame, store), pose_file(folder, index)
-        with atomic_file(file) as temporary, temporary.open("wb") as stream:
-            np.save(stream, depth)
-        files.note([file.name])
-
-
-def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> MadeFiles:
-    """Return the depth of a path as a folder holds it; arguments as of `write_path_depth`."""
-    made_from = {
+    inputs = {
         "poses": [seen_from(target, keys) for target, keys in poses],
         "frame": frame,
         "units_per_metre": capture.units_per_metre,
         "lengths_m": [TAU_M, NOISE_M],
         "code": code_of(__name__),
     }
-    return MadeFiles(folder, made_from)
+    return FileTask(
+        name="depth along the path",
+        folder=folder,
+        inputs=inputs,
+        files=frame_names(range(len(poses)), ".npy"),
+        make=partial(_write, capture, poses, frame, store, folder),
+        kind="path depth",
+    )
 
 
-def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
-    """Return the poses of a path of N poses whose depth is missing or outdated."""
-    poses = {pose_file(files.folder, pose).name: pose for pose in range(n_poses)}
-    return [poses[name] for name in files.missing(poses)]
+def _write(
+    capture: Capture,
+    poses: Sequence[tuple[Camera, dict[str, str]]],
+    frame: int,
+    store: DepthStore,
+    folder: Path,
+    files: tuple[str, ...],
+) -> None:
+    for index in track(frame_numbers(files), "depth along the path"):
+        target, keys = poses[index]
+        depth = _fused_depth(capture, target, keys, frame, store)
+        with atomic_file(pose_file(folder, index)) as temporary, temporary.open("wb") as stream:
+            np.save(stream, depth)
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:

@@ -7,13 +7,13 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.depth_work import drop_found
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.derived_files import cache_frames
 from ggvs_eval.pipelines.run.run_plan import PREPARATIONS, RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.tasks.task import drop_passing
 
 
 def prepare(
@@ -72,8 +72,7 @@ def _share_folders(root: Path, shared: Path) -> None:
 def drop_found_depth(plans: Sequence[RunPlan]) -> None:
     """Remove depth that only checks read, as soon as no run of those that share a store lacks a check."""
     for root in {plan.shared_root for plan in plans}:
-        work = [each for plan in plans if plan.shared_root == root for each in plan.depth_work()]
-        drop_found(work, DepthStore(root / "depth"))
+        drop_passing([task for plan in plans if plan.shared_root == root for task in plan.depth_tasks()])
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:

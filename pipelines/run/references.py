@@ -10,7 +10,6 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
-from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.run.score_code import MEASURING
@@ -19,6 +18,7 @@ from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.scoring import ScorePart, ScoreRequest
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import Task
 
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
@@ -30,12 +30,12 @@ UNRECORDED = "not recorded in this run folder; prepare it again"
 
 def plan_ceilings(request: ScoreRequest) -> ScorePart:
     """Plan the ceilings of a run's test views."""
-    jobs = ceiling_jobs(request.run, request.protocol, request.views)
-    return ScorePart(jobs=tuple(jobs), references=partial(reference_rows, jobs))
+    tasks = ceiling_tasks(request.run, request.protocol, request.views)
+    return ScorePart(tasks=tuple(tasks), references=partial(reference_rows, tasks))
 
 
-def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Job]:
-    """Return the jobs that estimate what perfect renderings of some test views would score, from their captured frames alone.
+def ceiling_tasks(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Task]:
+    """Return the tasks that estimate what perfect renderings of some test views would score, from their captured frames alone.
 
     Returns:
         One per test view; empty if the protocol wants none.
@@ -44,7 +44,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> li
     if not metrics:
         return []
     frames = protocol.frames.numbers
-    return [_job(run, view, frames, metrics, protocol.measurement) for view in views]
+    return [_task(run, view, frames, metrics, protocol.measurement) for view in views]
 
 
 def _wanted(protocol: Protocol) -> list[str]:
@@ -63,9 +63,9 @@ def read_ceiling(run: RunFolder, protocol: Protocol, view: str) -> dict[str, Any
     return read_json(file) if _wanted(protocol) and file.is_file() else None
 
 
-def reference_rows(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+def reference_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
     """Return the grey rows of the report: perfect renderings, and a second recording."""
-    records = {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
+    records = {task.folder.name: read_json(task.folder / JOB_FILE) for task in tasks}
     groups: dict[str, list[str]] = {}
     for name in ceiling_metrics():
         groups.setdefault(METRICS[name].group.key, []).append(name)
@@ -101,9 +101,9 @@ def _bounds(records: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[
     return {name: side for of_view in sides for name, side in of_view.items() if name in metrics}
 
 
-def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measurement: Measurement) -> Job:
+def _task(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measurement: Measurement) -> Task:
     coding = run.capture_record().get("coding", {}).get(view, {"unknown": UNRECORDED})
-    identity = {
+    inputs = {
         "truth": digest_frames(run.truth(view), frames),
         "coding": coding,
         "metrics": list(metrics),
@@ -111,7 +111,7 @@ def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measu
         "code": ceilings_code(metrics),
     }
     work = partial(_estimate, run, view, frames, metrics, measurement, coding and Coding(**coding))
-    return Job(f"ceilings of {view}", run.ceilings(view), identity, work)
+    return Task(name=f"ceilings of {view}", folder=run.ceilings(view), inputs=inputs, make=work, kind="ceiling")
 
 
 def ceilings_code(names: Sequence[str]) -> str:

@@ -1,10 +1,10 @@
-"""Render: every test view, and a camera path, by every method; one job per method and unit.
+"""Render: every test view, and a camera path, by every method; one task per method and unit.
 
 Diagnostics are a method's intermediate maps, as pictures next to its frames that the page shows.
 """
 
 import shutil
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,6 @@ from ggvs_eval.colour_maps import coloured, depth_colours
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
-from ggvs_eval.jobs.job import Job
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
@@ -28,26 +27,33 @@ from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.results import installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import Task
 
 # Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
     [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
 )
+OF_TASK = ("sha256", "identity", "files")  # in a record, besides what its maker says
 FITS = "fits"  # folder next to truth and depth
 
 
-@dataclass(frozen=True)
-class UnitJob(Job):
-    """A job of one method.
+@dataclass(frozen=True, kw_only=True)
+class UnitTask(Task):
+    """A task of one method.
 
     Attributes:
+        label: of the method.
         units: the test view that it renders, or ``path``; of a fit, all that are rendered from it.
-        foreign: whether a plug-in's code does it, which may end its process.
     """
 
-    label: str = ""
-    units: tuple[str, ...] = ()
-    foreign: bool = False
+    label: str
+    units: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """The only one of its units."""
+        (unit,) = self.units
+        return unit
 
 
 class SceneFit(Door):
@@ -72,49 +78,35 @@ class SceneFit(Door):
     @property
     def depth(self) -> tuple[tuple[DepthJob, ...], tuple[int, ...]]: ...  # noqa: D102
 
-    def job(self, capture: Capture, shared: Path, /) -> UnitJob:
-        """Return the job that fits it."""
+    def task(self, capture: Capture, shared: Path, /) -> UnitTask:
+        """Return the task that fits it."""
 
 
-@dataclass(frozen=True)
-class RunJobs:
-    """Jobs of the methods of a run, made once; counting, status and running use parts of these lists.
+def render_task(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, fit: UnitTask | None = None) -> UnitTask:
+    """Return the task that renders one unit by one method.
 
-    Attributes:
-        fit: scenes to fit, one per method and fold.
-        render: one per method and unit; those that wait for no fit first, and the longest of them.
+    Args:
+        fit: of the scene that it is rendered from.
     """
-
-    fit: tuple[UnitJob, ...]
-    render: tuple[UnitJob, ...]
-
-    @property
-    def needed_fits(self) -> list[UnitJob]:
-        """Fits that are done, or that something is still to be rendered from: a scene may go when its frames are there."""
-        wanted = {(job.label, unit) for job in self.render if not job.is_done() for unit in job.units}
-        return [fit for fit in self.fit if fit.is_done() or any((fit.label, unit) in wanted for unit in fit.units)]
-
-    def of_units(self, units: Collection[str] | None) -> "RunJobs":
-        """Return the jobs of a shard; all where None."""
-        if units is None:
-            return self
-        fits, renders = ([job for job in jobs if not set(units).isdisjoint(job.units)] for jobs in (self.fit, self.render))
-        return RunJobs(tuple(fits), tuple(renders))
-
-
-def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -> UnitJob:
-    """Return the job that renders one unit by one method."""
-    identity = {"method": label, "code": method_code(spec), **spec.identity(unit)}
+    inputs = {"method": label, "code": method_code(spec), **spec.identity(unit)}
     if spec.device != "cpu":  # whose bits are equal everywhere
         from ggvs_eval.compute_device import describe_device
 
-        identity["device"] = describe_device(spec.device)
-    if unit.name == PATH:
-        name, folder = f"{label} along the path", run.path(label)
-    else:
-        name, folder = f"{label} in {unit.name}", run.renders(label, unit.name)
-    work = partial(_render, label, spec, unit)
-    return UnitJob(name, folder, identity, work, label=label, units=(unit.name,), foreign=spec.foreign)
+        inputs["device"] = describe_device(spec.device)
+    is_path = unit.name == PATH
+    return UnitTask(
+        name=f"{label} along the path" if is_path else f"{label} in {unit.name}",
+        folder=run.path(label) if is_path else run.renders(label, unit.name),
+        inputs=inputs,
+        make=partial(_render, label, spec, unit),
+        kind="path render" if is_path else "render",
+        pace=label,
+        count=len(unit.shots),
+        needs=(fit,) if fit else (),
+        label=label,
+        units=(unit.name,),
+        foreign=spec.foreign,
+    )
 
 
 def method_code(spec: MethodSpec) -> str:
@@ -165,7 +157,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
     took = read_json(unit.fit.folder / JOB_FILE) if unit.fit else {REFUSED: "no fit"}
     if REFUSED in took:
         return record
-    return record | {"fit": {name: value for name, value in took.items() if name not in ("sha256", "identity")}}
+    return record | {"fit": {name: value for name, value in took.items() if name not in OF_TASK}}
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:

@@ -7,28 +7,30 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 from typing import Protocol as Door
 
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_options import DepthRunOptions
-from ggvs_eval.depth_store import DepthJob
+from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.depth_work import depth_tasks
 from ggvs_eval.errors import AbsentPartError, CaptureError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit, SourcePlan
 from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.methods.stage_costs import COSTS, N_BYTES, render_cost
 from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.depth_of_run import DepthProvider, depth_of_run
-from ggvs_eval.pipelines.run.derived_files import cached_capture
-from ggvs_eval.pipelines.run.render import RunJobs, SceneFit, render_job
+from ggvs_eval.pipelines.run.derived_files import cached_capture, frame_tasks
+from ggvs_eval.pipelines.run.render import SceneFit, UnitTask, render_task
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
-
-TRUTH_BYTES = 2.1  # per pixel, PNG of frames with and without sensor noise as on the demo
+from ggvs_eval.tasks.task import AnyTask, FileTask
 
 
 @dataclass(frozen=True)
@@ -59,27 +61,6 @@ class RunRequest:
     def only_prepares(self) -> bool:
         """True if nothing of it is rendered."""
         return self.views is not None and not self.views
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A part of the remaining work: files that are missing in one folder, or a scene to fit.
-
-    Attributes:
-        kind: see `ggvs_eval.pipelines.methods.stage_costs.stage_of`.
-        folder: where they will be; runs that share it have the piece in common.
-        label: of the method that renders them.
-        core_seconds: of all of them at `pace` 1; None if they are not known.
-        passing: they are removed before anything is rendered.
-    """
-
-    kind: str
-    folder: Path
-    count: int
-    n_bytes: float = 0.0
-    label: str = ""
-    core_seconds: float | None = None
-    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,8 +105,8 @@ class RunPlan:
         return cached_capture(self.original, self.frames_of_cameras(), self.run.root / "truth")
 
     @cached_property
-    def jobs(self) -> RunJobs:
-        """All render jobs of the request, assuming that preparation is done.
+    def renders(self) -> tuple[UnitTask, ...]:
+        """What renders each unit by each method; what waits for no fit first, and the longest of these.
 
         Raises:
             DeviceError: no such device here.
@@ -134,22 +115,43 @@ class RunPlan:
         """
         for spec in self.methods.values():
             spec.require()  # what is missing shows before anything is rendered
-        fits, renders = [], []
+        fits = {(fit.label, unit): fit for fit in self.fit_tasks for unit in fit.units}
+        renders = []
         for label, spec in self.methods.items():
-            scenes = [fit.job(self.capture, self.shared_root) for fit in self.fits if fit.label == label]
-            entries = {unit: job.entry for job in scenes for unit in job.units}
-            fits += scenes
-            units = [replace(unit, fit=entries.get(unit.name)) for unit in self.units]
-            renders += [render_job(self.run, label, spec, unit) for unit in units]
-        # What waits for no fit first, and the longest first, so that all workers end at about the same time.
+            for unit in self.units:
+                fit = fits.get((label, unit.name))
+                of_fit = replace(unit, fit=fit.made if fit else None)
+                renders.append(self._priced(render_task(self.run, label, spec, of_fit, fit)))
+        # All workers end at about the same time where the longest begin.
         of_path_first = len(self.path) > len(self.frames)
-        fitted = {job.label for job in fits}
-        renders.sort(key=lambda job: (job.label in fitted, (job.units == (PATH,)) != of_path_first))
-        return RunJobs(tuple(fits), tuple(renders)).of_units(self.request.views)
+        renders.sort(key=lambda render: (bool(render.needs), (render.unit == PATH) != of_path_first))
+        views = self.request.views
+        return tuple(render for render in renders if views is None or render.unit in views)
+
+    @property
+    def fit_tasks(self) -> list[UnitTask]:
+        """What fits the scenes, one per method and fold."""
+        return [fit.task(self.capture, self.shared_root) for fit in self.fits]
+
+    @property
+    def tasks(self) -> list[AnyTask]:
+        """Everything that is made before renders are scored, in the order in which it is made."""
+        frames = frame_tasks(self.original, self.frames_of_cameras(), self.shared_root / "truth")
+        prepared = [task for preparation in PREPARATIONS.built_in().values() for task in preparation.tasks(self)]
+        return [*map(self._priced, (*frames, *self.depth_tasks(), *prepared)), *self.renders]
+
+    def depth_tasks(self) -> list[FileTask]:
+        """Return what makes the depth of views, path and fits."""
+        instants: dict[DepthJob, set[int]] = {}
+        for jobs, frames in self.depth_work():
+            for job in jobs:
+                instants.setdefault(job, set()).update(frames)
+        store = DepthStore(self.shared_root / "depth")
+        return [task for job, frames in instants.items() for task in depth_tasks([job], sorted(frames), store)]
 
     def rendered_labels(self) -> list[str]:
         """Return the methods whose test views are all rendered, as far as the request names them."""
-        open_labels = {job.label for job in self.jobs.render if job.units != (PATH,) and not job.is_done()}
+        open_labels = {render.label for render in self.renders if render.unit != PATH and not render.is_done()}
         return [label for label in self.methods if label not in open_labels]
 
     @property
@@ -192,26 +194,15 @@ class RunPlan:
         """Depth that the camera path needs, each once."""
         return sorted({job for plan in self.path for job in plan.jobs})
 
-    def piece(
-        self,
-        kind: str,
-        folder: Path,
-        count: int,
-        cost: float | None,
-        pixel_bytes: float = 0.0,
-        label: str = "",
-        passing: bool = False,
-    ) -> Piece:
-        """Return work that is left in one folder.
-
-        Args:
-            cost: core-seconds per megapixel of each file at `pace` 1; None if it is not known.
-            pixel_bytes: bytes per pixel of each.
-        """
+    def _priced(self, task: AnyTask) -> Any:
+        """Return a task with the costs of its kind, at the size of the run."""
         width, height = self.original.cameras[0].size
-        n_pixels = count * width * height
-        seconds = None if cost is None else n_pixels / 1e6 * cost
-        return Piece(kind, folder, count, n_pixels * pixel_bytes, label, seconds, passing)
+        costs = COSTS | {"depth": self.depth.cost}
+        cost = render_cost(task.pace) if task.kind in ("render", "path render") else costs.get(task.kind)
+        cost_s = None if cost is None else cost * width * height / 1e6
+        n_bytes = N_BYTES.get(task.kind, 0.0) * width * height
+        needs: Any = tuple(map(self._priced, task.needs))
+        return replace(task, cost_s=cost_s, n_bytes=n_bytes, needs=needs)
 
     def frames_of_cameras(self) -> dict[str, list[int]]:
         """Frames of each camera that take part: test views, source cameras and those that their depth is matched with."""
@@ -232,8 +223,8 @@ class Preparation(Door):
     def complete(self, plan: RunPlan, /) -> RunPlan:
         """Return the plan with what it adds to it."""
 
-    def work_left(self, plan: RunPlan, /) -> list[Piece]:
-        """List what `prepare` would make."""
+    def tasks(self, plan: RunPlan, /) -> Sequence[AnyTask]:
+        """Return what `prepare` makes, as far as it can be made without preparation."""
 
     def prepare(self, plan: RunPlan, workers: Workers, /) -> None:
         """Make what is missing, when frames and depth are there."""

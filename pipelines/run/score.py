@@ -1,11 +1,11 @@
 """Score: the 8-bit frames on disk against the captured ones, wherever they were rendered.
 
-Each view is one job for all methods, because what the truth alone decides is then computed once; the values are in
-``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
+The metrics of all methods in one view are measured together, because what the truth alone decides is then computed once. Values
+are in ``RUN/scores/<view>/<method>/<metric>``; one that is there already, of the same frames, is not measured again.
 """
 
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,21 +13,21 @@ from ggvs_eval.coverage import Coverage, read_coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.finding import Finding
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, known_method
 from ggvs_eval.pipelines.methods.spec import LEARNED, OnlineMethod, digest_weights
-from ggvs_eval.pipelines.methods.stage_costs import STAGES, score_cost
-from ggvs_eval.pipelines.run.score_view import metric_options, view_job
+from ggvs_eval.pipelines.methods.stage_costs import STAGES
+from ggvs_eval.pipelines.run.score_view import CHECKS, ScoreTask, metric_options, score_tasks
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST, Protocol
-from ggvs_eval.renders.request import read_header
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
-from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, frame_path, read_json, write_json
-from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, ScoredMethod, ScorePart, ScoreRequest
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, read_json, write_json
+from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, MetricScores, ScoredMethod, ScorePart, ScoreRequest, Value
+from ggvs_eval.tasks.run_tasks import run_tasks
+from ggvs_eval.tasks.task import Task
+from ggvs_eval.tasks.task_list import TaskList, estimate
 
 GIVEN = "weights that were given"
 
@@ -75,11 +75,11 @@ METRICS_ON_DEVICE = "metrics"  # listed with the renders that are not the CPU's
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of a run: jobs, made once, and their values when they are done.
+    """Scores of a run: tasks, planned once, and their values when they are done.
 
     Attributes:
         labels: of the methods, and of the rows that parts add.
-        views: a job per test view, for all methods.
+        view_tasks: of the test views.
         parts: what is scored besides, see `ScorePart`.
         device: where metrics compute that can.
     """
@@ -87,26 +87,24 @@ class Scores:
     run: RunFolder
     labels: tuple[str, ...]
     coverage: Coverage
-    views: tuple[Job, ...]
+    view_tasks: tuple[ScoreTask, ...]
     parts: tuple[ScorePart, ...]
     device: str
 
     @property
-    def jobs(self) -> tuple[Job, ...]:
+    def tasks(self) -> tuple[Task, ...]:
         """All, the longest first, so that all workers end at about the same time."""
-        return (*self.views, *(job for part in self.parts for job in part.jobs))
+        return (*self.view_tasks, *(task for part in self.parts for task in part.tasks))
 
     def time_words(self, workers: int) -> str:
         """State the expected time of the views left to score, and how to shorten it; empty if seconds."""
-        protocol, views = self.run.protocol(), [job.folder / JOB_FILE for job in self.views if not job.is_done()]
-        measured = [read_json(file)["methods"] for file in views if file.is_file()]
-        left = [label for label in self.labels if not measured or any(label not in methods for methods in measured)]
-        labels, frames = left or self.labels, len(views) * protocol.frames.count
+        protocol = self.run.protocol()
+        left = [task for task in self.view_tasks if not task.is_done()]
+        labels, views = ({getattr(task, name) for task in left} for name in ("label", "view"))
+        frames = len(views) * protocol.frames.count
         if frames * len(labels) < TOLD_FRAMES or self.device != "cpu":
             return ""
-        size = read_header(frame_path(self.run.truth(protocol.views.test[0]), protocol.frames.start)).size
-        cost = score_cost(protocol.measurement) * size[0] * size[1] / 1e6
-        seconds = cost * frames * len(labels) * pace() / min(workers, len(views))
+        seconds = estimate(left, (), pace).seconds / min(workers, len(views))
         every = protocol.measurement.lpips_every
         of_lpips = (
             f"; {COSTLIEST} of {'every frame' if every == 1 else f'one frame in {every}'}"
@@ -150,9 +148,9 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
     scores = plan_scores(run, [label for label in run.labels() if label not in without], None, device)
     if told := scores.time_words(workers if isinstance(workers, int) else 1):
         print(told, file=sys.stderr, flush=True)
-    ledger = Ledger(run.root, "score")
-    ledger.write([job.entry for job in scores.jobs])
-    run_jobs(scores.jobs, workers, "scoring", ledger)
+    task_list = TaskList(run.root, "score")
+    task_list.write(scores.tasks)
+    run_tasks(scores.tasks, workers, "scoring", task_list)
     return scores.collect()
 
 
@@ -166,7 +164,7 @@ def require_labels(run: RunFolder, labels: Sequence[str] | None = None) -> None:
 
 
 def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | None = None, device: str = "cpu") -> Scores:
-    """List the jobs that measure some methods.
+    """List the tasks that measure some methods.
 
     Args:
         units: test views, or ``path``, of which nothing may be missing; None for all.
@@ -180,8 +178,8 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     parts = tuple(plan_part(request) for plan_part in SCORE_PARTS.installed().values())
     rows = {label: frames for part in parts for label, frames in part.partial.items()}
     coverage, labels = replace(coverage, partial={**coverage.partial, **rows}), (*labels, *rows)
-    jobs = tuple(view_job(run, protocol, coverage, labels, view, device) for view in views)
-    return Scores(run=run, labels=labels, coverage=coverage, views=jobs, parts=parts, device=device)
+    tasks = tuple(task for view in views for task in score_tasks(run, protocol, coverage, labels, view, device))
+    return Scores(run=run, labels=labels, coverage=coverage, view_tasks=tasks, parts=parts, device=device)
 
 
 def _collect(scores: Scores) -> Results:
@@ -189,7 +187,8 @@ def _collect(scores: Scores) -> Results:
     run, coverage, labels = scores.run, scores.coverage, scores.labels
     protocol, capture = run.protocol(), run.capture_record()
     questions = QUESTIONS.installed().values()
-    records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
+    records = _read_scores(scores)
+    order = _order_of_values(protocol)
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
     faults: list[Fault] = []
@@ -199,21 +198,21 @@ def _collect(scores: Scores) -> Results:
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
         findings: dict[str, list[Finding]] = {}
-        for view, methods in records.items():
+        is_method = not label.endswith(ON_SCREEN)
+        for view in protocol.views.test:
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
-            if label not in methods:
-                if coverage.frames(label, view):
-                    raise RenderError(f"{run.scores(view)}: wanted values of {label}, got none; score again")
-                continue  # partial renders may lack a view
-            for name, frame, value in methods[label]["values"]:
+            metrics = records.get((label, view), {})  # partial renders may lack a view
+            of_view = [value for metric in metrics.values() for value in metric.values]
+            for name, frame, value in sorted(of_view, key=order):
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
-            findings[view] = [Finding(**fields) for fields in methods[label].get("faults", ())]
-            lacking = methods[label]["not_computed"]
+            if metrics and is_method:
+                record = read_json(run.scores(view) / label / CHECKS / JOB_FILE)
+                findings[view] = [Finding(**fields) for fields in record["findings"]]
+            lacking = {name: why for metric in metrics.values() for name, why in metric.not_computed.items()}
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         method = ScoredMethod(run=run, protocol=protocol, label=label, values=values)
-        is_method = not label.endswith(ON_SCREEN)
         for question in questions if is_method else ():
             findings = question.of_method(method, findings)
         scene = capture["scene"]
@@ -226,12 +225,9 @@ def _collect(scores: Scores) -> Results:
                 reasons |= part_reasons
         absences += [Absence(name, label, capture["scene"], "", reason) for name, reason in reasons.items()]
         rows += [(*head, *row) for row in own]
-    renders = {
-        f"{label}/{view}": methods[label]["identity"]["rendered"]
-        for label in labels
-        for view, methods in records.items()
-        if label in methods
-    }
+    digests = {f"{task.label}/{task.view}": task.inputs["rendered"] for task in scores.view_tasks}
+    named = [f"{label}/{view}" for label in labels for view in protocol.views.test]
+    renders = {name: digests[name] for name in named if name in digests}
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
     provenance["faults"] = [list(one) for one in faults]
     provenance["versions"] = _versions(run, list(renders), records)
@@ -243,6 +239,31 @@ def _collect(scores: Scores) -> Results:
     provenance["absent"] = [list(one) for one in absences if one.metric in measured]
     not_computed = {one.metric: one.reason for one in reversed(absences) if one.metric not in measured}
     return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
+
+
+def _read_scores(scores: Scores) -> dict[tuple[str, str], dict[str, MetricScores]]:
+    """Return (label, view) -> metric -> its values."""
+    records: dict[tuple[str, str], dict[str, MetricScores]] = {}
+    for task in scores.view_tasks:
+        if not task.is_done():
+            raise RenderError(f"{task.folder}: wanted values of {task.label}, got none; score again")
+        if task.metric != CHECKS:
+            records.setdefault((task.label, task.view), {})[task.metric] = MetricScores.read(task.folder)
+    return records
+
+
+def _order_of_values(protocol: Protocol) -> Callable[[Value], tuple[Any, ...]]:
+    """Return the order of a method's values in a view: by frames, what belongs to none of them last."""
+    options = metric_options(protocol.measurement)
+    metrics = select_metrics(protocol.measurement.metrics)
+    names = dict.fromkeys(name for metric in metrics for name in (*metric.pooling(options).parts, metric.name))
+    order = {name: place for place, name in enumerate(names)}
+
+    def place(value: Value) -> tuple[Any, ...]:
+        name, frame, _ = value
+        return frame < 0, frame, order.get(name, len(order)), name
+
+    return place
 
 
 def _fault(label: str, scene: str, found: Finding) -> Fault:
@@ -278,10 +299,12 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
     } | ({"truth": capture["truth"]} if "truth" in capture else {})
 
 
-def _versions(run: RunFolder, renders: Sequence[str], records: Mapping[str, dict[str, Any]]) -> dict[str, str]:
+def _versions(
+    run: RunFolder, renders: Sequence[str], scores: Mapping[tuple[str, str], Mapping[str, MetricScores]]
+) -> dict[str, str]:
     """Return package -> versions under which these renders and their values were made, and this one."""
     made = [record.get("versions", {}) for record in _render_records(run, renders).values()]
-    made += [records[view][label].get("versions", {}) for label, view in (render.rsplit("/", 1) for render in renders)]
+    made += [of_metric.versions for metrics in scores.values() for of_metric in metrics.values()]
     return join_versions([installed_versions(), *made])
 
 

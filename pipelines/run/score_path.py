@@ -9,7 +9,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.coverage import lacks_path, path_poses
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
-from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
 from ggvs_eval.metrics.path_scores import measured_on_path, score_path
 from ggvs_eval.metrics.registry import METRICS, select_metrics
@@ -18,6 +17,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames
 from ggvs_eval.scoring import Row, ScorePart, ScoreRequest
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import Task
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
@@ -28,16 +28,16 @@ PATH_SCORES = "ggvs_eval.metrics.path_scores"
 def plan_path_scores(request: ScoreRequest) -> ScorePart:
     """Plan what is measured along the camera path of a run."""
     is_asked = request.units is None or PATH_VIEW in request.units
-    jobs = path_jobs(request.run, request.protocol, request.labels) if is_asked else []
-    rows = partial(path_rows, jobs, request.protocol)
-    return ScorePart(jobs=tuple(jobs), rows=rows, references=partial(true_rows, jobs))
+    tasks = path_tasks(request.run, request.protocol, request.labels) if is_asked else []
+    rows = partial(path_rows, tasks, request.protocol)
+    return ScorePart(tasks=tuple(tasks), rows=rows, references=partial(true_rows, tasks))
 
 
-def path_rows(jobs: Sequence[Job], protocol: Protocol, label: str) -> tuple[list[Row], dict[str, str]]:
+def path_rows(tasks: Sequence[Task], protocol: Protocol, label: str) -> tuple[list[Row], dict[str, str]]:
     """Return the measures of a method's camera path, each over the whole path, and why some are not there."""
     metrics = select_metrics(protocol.measurement.metrics)
     names = [metric.name for metric in metrics if metric.kind == "path"]
-    scores = read_paths(jobs).get(label)
+    scores = read_paths(tasks).get(label)
     if scores is None:
         return [], dict.fromkeys(names, "no images along a camera path")
     reasons = {name: why for name, why in scores["not_computed"].items() if name in names}
@@ -45,9 +45,9 @@ def path_rows(jobs: Sequence[Job], protocol: Protocol, label: str) -> tuple[list
     return [(PATH_VIEW, -1, name, value) for name, value in values], reasons
 
 
-def true_rows(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+def true_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
     """Return the report's row of the captured images along the path, where the capture has some."""
-    scores = read_paths(jobs).get(TRUTH)
+    scores = read_paths(tasks).get(TRUTH)
     if scores is None:
         return []
     values = {name: value for name, pose, value in scores["values"] if pose < 0}
@@ -55,8 +55,8 @@ def true_rows(jobs: Sequence[Job]) -> list[dict[str, Any]]:
     return [{"group": "path", "name": "Captured images", "note": TRUTH_NOTE, "values": values}]
 
 
-def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Job]:
-    """The jobs that measure the path of every method that has one, and of the truth where the capture has true images of it.
+def path_tasks(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Task]:
+    """Return what measures the path of every method that has one, and of the truth where the capture has true images of it.
 
     Returns:
         One per method; empty if there is no path, or the protocol asks for none of its measures.
@@ -71,28 +71,29 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), poses)]
     metrics = {name: METRICS[name] for name in protocol.measurement.metrics}
     costly = sorted(name for name, one in metrics.items() if isinstance(one, PathMetric) and one.scorer.wants_images)
-    return [_job(run, label, len(poses), costly) for label in rendered]
+    return [_task(run, label, len(poses), costly) for label in rendered]
 
 
-def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read the results of `path_jobs`.
+def read_paths(tasks: Sequence[Task]) -> dict[str, dict[str, Any]]:
+    """Read the results of `path_tasks`.
 
     Returns:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.
     """
-    return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
+    return {task.folder.name: read_json(task.folder / JOB_FILE) for task in tasks}
 
 
-def _job(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Job:
+def _task(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Task:
     frames = [frame_path(run.path(label), pose) for pose in range(n_poses)]
     depths = [pose_file(run.path_depth, pose) for pose in range(n_poses)]
-    identity = {
+    inputs = {
         "rendered": digest_files(frames),
         "depth": digest_files([file for file in depths if file.is_file()]),
         "path": digest_files([run.path_record]),
         "code": path_code(costly),
     }
-    return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label, costly))
+    make = partial(_score, run, label, costly)
+    return Task(name=f"path of {label}", folder=run.path_scores(label), inputs=inputs, make=make, kind="path score")
 
 
 def path_code(names: Collection[str]) -> str:

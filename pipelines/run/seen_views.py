@@ -10,7 +10,7 @@ from ggvs_eval.finding import Finding
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.inspection.renders.examine import COMPARED, find_seen
 from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
-from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceiling
+from ggvs_eval.pipelines.run.references import ceiling_tasks, read_ceiling
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.scoring import FrameCheck, FrameReader, ScoredMethod
 
@@ -68,6 +68,7 @@ def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
     for name, view in views_of_run(run, label, as_measured=True).items():
         psnrs_db = [psnr(*pair) for pair in view.pairs(list(view.frames))]
         if np.mean(psnrs_db) > LEAST_DB:
-            (job,) = ceiling_jobs(run, wanted, [name])
-            findings += find_seen_view(name, psnrs_db, job.work(run.root))
+            (task,) = ceiling_tasks(run, wanted, [name])
+            assert task.make is not None
+            findings += find_seen_view(name, psnrs_db, task.make(run.root))
     return findings

@@ -15,15 +15,14 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
-from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.run.evaluate import measure, report
+from ggvs_eval.pipelines.run.outlook import count_work, print_plan
 from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import count_work, print_plan
 from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan, plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
@@ -31,6 +30,7 @@ from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.shipped import MAIN, ROOMS, write_room
+from ggvs_eval.tasks.task_list import Failure
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")

@@ -21,7 +21,7 @@ from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.section import RUNS_KEPT, Report, SectionContent, tables_of_runs
 from ggvs_eval.results import split_label
-from ggvs_eval.run_folder import frame_path, missing_frames, read_json
+from ggvs_eval.run_folder import JOB_FILE, frame_path, missing_frames, read_json
 from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
 
 METRIC = "L1"
@@ -340,9 +340,10 @@ def _conditions(run: MeasuredRun) -> list[Condition]:
 def _agreeing_shares(run: MeasuredRun) -> list[float]:
     """Share of pixels of each stored depth map of the first instant that was checked against other cameras and has held."""
     shares, store = [], DepthStore(run.folder.depth)
-    for spec in map(read_json, sorted(run.folder.depth.glob("*/spec.json"))):
-        if "check" in spec and store.has(spec["key"], run.frames[0]):
-            confidence = store.read(spec["key"], run.frames[0]).confidence
+    for record in map(read_json, sorted(run.folder.depth.glob(f"*/{JOB_FILE}"))):
+        spec, key = record["identity"], record["sha256"]
+        if "check" in spec and store.has(key, run.frames[0]):
+            confidence = store.read(key, run.frames[0]).confidence
             filled = spec["options"].get("filled_confidence", 0.0) + 0.5 / CONFIDENCE_STEPS  # which is stored in 8 bit
             shares.append(float((confidence > filled).mean()))
     return shares

@@ -29,7 +29,7 @@ from ggvs_eval.pipelines.methods.ours import ON_DEVICE
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
-from ggvs_eval.pipelines.run.render import render_job
+from ggvs_eval.pipelines.run.render import render_task
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import _devices
 from ggvs_eval.reports.page import page
@@ -144,15 +144,15 @@ def test_a_job_knows_its_device(planned, monkeypatch):
     unit = planned.units[0]
     for label in ("ours", "fwd"):
         spec = find_method(label)
-        here, there = (render_job(planned.run, label, each, unit) for each in (spec, spec.on("cuda")))
-        assert "device" not in here.identity
-        assert there.identity == here.identity | {"device": H100, "code": there.identity["code"]}
-        assert (there.identity["code"] == here.identity["code"]) == (label == "fwd" or not ON_DEVICE)
+        here, there = (render_task(planned.run, label, each, unit) for each in (spec, spec.on("cuda")))
+        assert "device" not in here.inputs
+        assert there.inputs == here.inputs | {"device": H100, "code": there.inputs["code"]}
+        assert (there.inputs["code"] == here.inputs["code"]) == (label == "fwd" or not ON_DEVICE)
         assert there.sha256 != here.sha256
-        assert here.sha256 == render_job(planned.run, label, spec.on("cpu"), unit).sha256
-        assert pickle.loads(pickle.dumps(there)).work.args[1].device == "cuda"  # it travels to other processes by name
+        assert here.sha256 == render_task(planned.run, label, spec.on("cpu"), unit).sha256
+        assert pickle.loads(pickle.dumps(there)).make.args[1].device == "cuda"  # it travels to other processes by name
     plain = find_method("no-blending")
-    assert render_job(planned.run, "no-blending", plain.on("cuda"), unit).identity.keys() == here.identity.keys()
+    assert render_task(planned.run, "no-blending", plain.on("cuda"), unit).inputs.keys() == here.inputs.keys()
 
 
 @pytest.mark.usefixtures("no_gpu")

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs import job, machine
+from ggvs_eval.jobs import machine
 from ggvs_eval.jobs.engine import Engine, start_remedy
-from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.processes import kept_workers
+from ggvs_eval.tasks.run_tasks import attempt_tasks, run_tasks
+from ggvs_eval.tasks.task import Task
 
 ENGINES = [Engine(2), Engine(2, "dask")]
 DASK_AS_PROOF = [Engine(2), pytest.param(Engine(2, "dask"), marks=pytest.mark.proof)]
@@ -38,14 +39,16 @@ def be_killed(times: int, diary: Path, folder: Path) -> dict:
     return write_square(3, folder)
 
 
-def square_job(root: Path, number: int) -> Job:
-    return Job(f"square {number}", root / f"s{number}", {"number": number}, partial(write_square, number))
+def square_job(root: Path, number: int) -> Task:
+    return Task(
+        name=f"square {number}", folder=root / f"s{number}", inputs={"number": number}, make=partial(write_square, number)
+    )
 
 
-def killed_job(root: Path, times: int) -> Job:
+def killed_job(root: Path, times: int) -> Task:
     diary = root.parent / "diary"
     diary.mkdir()
-    return Job("killed", root / "killed", {"killed": times}, partial(be_killed, times, diary))
+    return Task("killed", root / "killed", inputs={"killed": times}, make=partial(be_killed, times, diary))
 
 
 def contents(root: Path) -> dict[str, bytes]:
@@ -72,10 +75,10 @@ def hasty_dask(dask_or_skip):
 def test_every_engine_gives_the_same_files(engine, dask_or_skip, tmp_path):
     """Byte for byte what one process writes, and nothing twice."""
     for name, where in (("serial", 1), ("parallel", engine)):
-        assert run_jobs([square_job(tmp_path / name, number) for number in range(5)], where, "") == 5
+        assert run_tasks([square_job(tmp_path / name, number) for number in range(5)], where, "") == 5
 
     assert contents(tmp_path / "parallel") == contents(tmp_path / "serial")
-    assert run_jobs([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "") == 0
+    assert run_tasks([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "") == 0
 
 
 @pytest.mark.slow
@@ -84,7 +87,7 @@ def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
     """A job whose process is killed is done again, the others are done once, and nothing half is left."""
     root = tmp_path / "root"
 
-    attempt = attempt_jobs([killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, "")
+    attempt = attempt_tasks([killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, "")
 
     assert (attempt.done, attempt.failures) == (7, ())
     assert (root / "killed" / "square.txt").read_text() == "9"
@@ -97,7 +100,7 @@ def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path)
     """It is named with a reason; those beside it, whose processes it took along, are done, and lost workers are replaced."""
     root = tmp_path / "root"
 
-    attempt = attempt_jobs([killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, "")
+    attempt = attempt_tasks([killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, "")
 
     assert attempt.done == 3
     assert [failure.name for failure in attempt.failures] == ["killed"]
@@ -114,8 +117,8 @@ def note_process(number: int, folder: Path) -> dict:
 
 def processes_of(root: Path, names: range) -> set[str]:
     """Run a job per name; the processes that did them."""
-    jobs = [Job(str(name), root / str(name), {"name": name}, partial(note_process, name)) for name in names]
-    run_jobs(jobs, 2, "")
+    jobs = [Task(str(name), root / str(name), inputs={"name": name}, make=partial(note_process, name)) for name in names]
+    run_tasks(jobs, 2, "")
     return {(made.folder / "process.txt").read_text() for made in jobs}
 
 
@@ -140,7 +143,7 @@ def test_stages_can_share_their_processes(tmp_path):
 def test_kept_processes_that_die_are_replaced(tmp_path):
     """A killed worker costs no result of its stage, and the next stage has workers too."""
     with kept_workers():
-        attempt = attempt_jobs([killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, "")
+        attempt = attempt_tasks([killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, "")
         assert (attempt.done, attempt.failures) == (2, ())
         assert len(processes_of(tmp_path, range(4))) == 2
 
@@ -176,7 +179,6 @@ def test_the_memory_of_a_container_is_its_own(tmp_path):
 def test_options_that_contradict_each_other_are_refused(tmp_path, monkeypatch):
     """One line says what to change, or what to install; nothing has begun."""
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.setattr(job, "package_digest", lambda: "of a tree that takes seconds to read")
     wishes = {
         Engine(0): "at least 1",
         Engine(2, scheduler="tcp://host:8786"): "wanted --engine dask with it",
@@ -184,7 +186,7 @@ def test_options_that_contradict_each_other_are_refused(tmp_path, monkeypatch):
     }
     for engine, message in wishes.items():
         with pytest.raises(RenderError, match=message):
-            run_jobs([square_job(tmp_path, 1)], engine, "")
+            run_tasks([square_job(tmp_path, 1)], engine, "")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -223,8 +225,8 @@ def give_up(number: int, folder: Path) -> dict:
 @pytest.mark.slow
 def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
     """Its status and what it printed last, not that it may need more memory; the other jobs are done."""
-    jobs = [Job(f"{n}", tmp_path / f"s{n}", {"number": n}, partial(give_up, n)) for n in range(3)]
-    attempt = attempt_jobs(jobs, 2, "")
+    jobs = [Task(f"{n}", tmp_path / f"s{n}", inputs={"number": n}, make=partial(give_up, n)) for n in range(3)]
+    attempt = attempt_tasks(jobs, 2, "")
     (failure,) = attempt.failures
     assert attempt.done == 2
     assert "status 3" in failure.message
@@ -271,10 +273,10 @@ def test_without_semaphores_one_process_does_all(reason, monkeypatch, tmp_path, 
     jobs = [square_job(tmp_path, number) for number in range(3)]
     if reason == errno.EMFILE:
         with pytest.raises(OSError, match="Too many open files"):
-            attempt_jobs(jobs, 2, "")
+            attempt_tasks(jobs, 2, "")
         return
 
-    attempt = attempt_jobs([*jobs, Job("n", tmp_path / "n", {}, fail_here)], 2, "")
+    attempt = attempt_tasks([*jobs, Task("n", tmp_path / "n", inputs={}, make=fail_here)], 2, "")
 
     assert attempt.done == 3
     assert all(made.is_done() for made in jobs)

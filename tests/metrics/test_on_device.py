@@ -14,7 +14,7 @@ from ggvs_eval.metrics.metric import MetricOptions, TruthFrame, ViewMetric
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import score_views
 from ggvs_eval.metrics.time.strred import device_band, luma, spatial_band
-from ggvs_eval.pipelines.run.score_view import _metric_identity
+from ggvs_eval.pipelines.run.score_view import _metric_inputs
 
 HERE = "cpu:0"
 COMPUTED = ("PSNR", "SSIM", "L1", "TCC", "STED", "STED_ssn", "SDT")
@@ -111,11 +111,11 @@ def test_values_of_a_device_are_told_from_those_of_the_cpu():
     moved = {
         metric.name
         for metric in metrics
-        if _metric_identity(metric, MetricOptions(device="cuda")) != _metric_identity(metric, MetricOptions())
+        if _metric_inputs(metric, MetricOptions(device="cuda")) != _metric_inputs(metric, MetricOptions())
     }
     networks = {f"{name}{part}" for name in ("LPIPS", "LPIPS_cc", "DISTS") for part in ("", "_static", "_moving", "_disoccluded")}
     assert moved == networks | {"SSIM", "TCC", "STED", "STED_ssn", "CVVDP"}
-    assert "device" not in _metric_identity(METRICS["LPIPS"], MetricOptions())
+    assert "device" not in _metric_inputs(METRICS["LPIPS"], MetricOptions())
 
 
 @pytest.mark.gpu

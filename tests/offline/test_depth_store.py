@@ -74,8 +74,9 @@ def test_spec_is_readable(tmp_path):
     """The folder of a key says in JSON which cameras, frames and options it stands for."""
     store = DepthStore(tmp_path)
     key = store.write_spec(describe_depth(CAMERA, [PARTNER], DIGESTS, OPTIONS))
-    spec = json.loads((store.folder(key) / "spec.json").read_text())
-    assert spec["key"] == key
+    record = json.loads((store.folder(key) / "job.json").read_text())
+    assert record["sha256"] == key
+    spec = record["identity"]
     assert spec["camera"]["name"] == "a"
     assert [partner["name"] for partner in spec["partners"]] == ["b"]
     assert spec["options"] == OPTIONS
@@ -127,7 +128,7 @@ def test_what_a_killed_process_was_writing_is_swept(tmp_path):
 
     store.write_spec({"camera": "a"})
 
-    assert sorted(file.name for file in store.folder(key).iterdir()) == ["000001.npz", "spec.json"]
+    assert sorted(file.name for file in store.folder(key).iterdir()) == ["000001.npz", "job.json"]
 
 
 @pytest.mark.parametrize("odd", [-1.2, np.nan, np.inf])

@@ -29,7 +29,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_di
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
-from ggvs_eval.pipelines.run import work_left
+from ggvs_eval.pipelines.run import outlook
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from helpers.captures import write_dynerf
@@ -208,7 +208,7 @@ def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monk
         options.append(depth)
         raise DeviceError("far enough")
 
-    monkeypatch.setattr(work_left, "print_plan", lambda planned, *_: plans.extend(planned))
+    monkeypatch.setattr(outlook, "print_plan", lambda planned, *_: plans.extend(planned))
     monkeypatch.setattr(playback, "playback_of_capture", end)
     monkeypatch.setattr(viewer, "require_viser", lambda: None)
     words = ("--matcher", "raft", "--device", "cpu:0")

@@ -44,7 +44,7 @@ def test_report_is_whole(report):
     curves = {f"curves_{metric}" for metric in ("PSNR", "PSNR_cc", "PSNR_static", "PSNR_disoccluded", "SSIM", "L1", "TCC")}
     figures = {"crops", "failures", "epi", "x-t_cam00", "x-t_cam01"} | curves
     tables = {f"{name}.{kind}" for name in ("tables", "reproduction") for kind in ("md", "csv", "tex")}
-    assert names == {"index.html", "tables.xlsx", ".digests.json"} | tables | {f"figures/{name}.png" for name in figures}
+    assert names == {"index.html", "tables.xlsx", "job.json"} | tables | {f"figures/{name}.png" for name in figures}
 
 
 def test_page_loads_nothing(report):

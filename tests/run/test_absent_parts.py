@@ -12,11 +12,11 @@ from ggvs_eval.errors import AbsentPartError
 from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.protocol import Views
 from ggvs_eval.run_folder import frame_path
 from helpers.refusals import refused
 from helpers.small_runs import small_protocol, write_small_capture
+from helpers.tasks_left import tasks_left
 
 OFFLINE = "ggvs_eval.pipelines.offline"
 DEPTH = f"{OFFLINE}.depth"
@@ -47,7 +47,7 @@ def test_methods_that_want_no_depth_render_the_same_without_it(small_capture, tm
     for name in ("with", "without"):
         plan = plan_run(RunRequest(tmp_path / name, small_capture, protocol, ("interpolation",)))
         assert not measure(plan, 1).table.empty
-        assert not work_left(plan)
+        assert not tasks_left(plan)
         runs.append(plan.run)
         remove(DEPTH)
 

@@ -10,13 +10,13 @@ import pytest
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.pipelines.run import path_depth
-from ggvs_eval.pipelines.run.derived_files import DIGESTS, digest_folder
+from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import work_left
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json, write_json
 from helpers.other_code import change_code
 from helpers.small_runs import small_protocol, write_small_capture
+from helpers.tasks_left import tasks_left
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +47,8 @@ def damage(plan: RunPlan) -> tuple[Path, Path]:
 def files_left(plan: RunPlan) -> Counter[str]:
     """How much of each kind is missing."""
     left: Counter[str] = Counter()
-    for piece in work_left(plan):
-        left[piece.kind] += piece.count
+    for task in tasks_left(plan):
+        left[task.kind] += task.count
     return left
 
 
@@ -86,11 +86,10 @@ def test_what_was_changed_is_made_anew(plan):
     prepare_run(plan)
     assert 77 not in read_image(mask)
     assert np.load(pose).dtype == np.float32
-    note = plan.run.disoccluded("cam00") / DIGESTS
-    key = next(iter(plan.plans["cam00"].depth_keys.values()))
-    note.write_text(note.read_text().replace(key, "another"))
+    record = plan.run.disoccluded("cam00") / JOB_FILE
+    write_json(record, read_json(record) | {"sha256": "of other depth"})
 
-    assert {piece.folder.name: piece.count for piece in work_left(plan) if piece.kind == "mask"} == {"cam00": 2}
+    assert {task.folder.name: task.count for task in tasks_left(plan) if task.kind == "mask"} == {"cam00": 2}
 
 
 def test_a_folder_is_known_by_what_it_holds(tmp_path):

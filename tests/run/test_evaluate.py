@@ -22,6 +22,7 @@ from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Synthesis, Views
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
+from ggvs_eval.tasks.task import run_batch
 from helpers.packed_films import unpack_film
 from helpers.refusals import refused
 from helpers.whole_run import ALONG_PATH, LABELS, PROTOCOL, capture_of, copy_of
@@ -160,13 +161,13 @@ def test_a_changed_frame_is_scored_again(run):
 
 def test_scores_of_methods_that_nobody_asks_for_stay(run):
     """A sweep of one row in a folder of several methods does not cost the others their scores."""
-    file = run.scores("cam00") / "job.json"
-    before = read_json(file)["methods"]
-    (job,) = plan_scores(run, [next(iter(before))], ["cam00"]).views
+    files = [*run.scores("cam00").glob("*/*/job.json")]
+    before = [read_json(file) for file in files]
+    tasks = plan_scores(run, [run.labels()[0]], ["cam00"]).view_tasks
 
-    job.run()
+    run_batch(tasks)
 
-    assert read_json(file)["methods"] == before
+    assert [read_json(file) for file in files] == before
 
 
 def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):

@@ -13,21 +13,21 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.jobs.job import run_jobs
-from ggvs_eval.jobs.ledger import describe_status
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.fits import FitClock
 from ggvs_eval.pipelines.run.footage import fold_footage
+from ggvs_eval.pipelines.run.outlook import count_work
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import count_work
+from ggvs_eval.pipelines.run.status import describe_status
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow
+from ggvs_eval.tasks.run_tasks import run_tasks
 from helpers import nearest_camera
 from helpers.nearest_camera import LABEL
 from helpers.refusals import refused
@@ -136,7 +136,7 @@ def test_footage_holds_nothing_of_a_held_out_camera(finished):
         assert view.encode() not in pickle.dumps(footage)
         assert b"cam01" in pickle.dumps(footage)
     for key in footage.depth_keys.values():
-        spec = read_json(footage.depths.folder(key) / "spec.json")
+        spec = read_json(footage.depths.folder(key) / JOB_FILE)["identity"]
         matched = {spec["camera"]["name"], *(partner["name"] for partner in spec["partners"])}
         assert matched
         assert matched <= set(footage.views)
@@ -153,7 +153,7 @@ def test_a_fit_does_not_depend_on_the_frames_that_it_shall_render(finished, twin
         black if name == HELD_OUT else source for name, source in zip(twin_plane.camera_names, twin_plane.sources, strict=True)
     )
     other = plan_run(RunRequest(tmp_path / "run", replace(twin_plane, sources=sources), PROTOCOL, (LABEL,)))
-    before, after = ({job.folder.name: job.sha256 for job in plan.jobs.fit if job.label == LABEL} for plan in (finished, other))
+    before, after = ({fit.folder.name: fit.sha256 for fit in plan.fit_tasks if fit.label == LABEL} for plan in (finished, other))
     assert before["fold1"] == after["fold1"]
     assert before["fold2"] != after["fold2"]
     assert before["all"] != after["all"]
@@ -164,15 +164,15 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
     protocol = replace(PROTOCOL, path=CameraPath(0))
     label = f"{LABEL}+dies_after=1"
     plan = prepare_run(plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, (label,))))
-    (job,) = (job for job in plan.jobs.fit if "cam03" in job.units)
+    (task,) = (fit for fit in plan.fit_tasks if "cam03" in fit.units)
     for attempt in range(4):
         with pytest.raises(KeyboardInterrupt):
-            run_jobs([job], 1, "fitting")
-        assert not job.is_done()
+            run_tasks([task], 1, "fitting")
+        assert not task.is_done()
         (left,) = (tmp_path / "fits" / label).glob(".fold2.*.unfinished")
         assert len(list(left.glob("*/last"))) == attempt + 1
-    assert run_jobs([job], 1, "fitting") == 1
-    assert job.is_done()
+    assert run_tasks([task], 1, "fitting") == 1
+    assert task.is_done()
     assert not list((tmp_path / "fits" / label).glob(".*"))
     whole = tmp_path / "whole"
     whole.mkdir()
@@ -181,7 +181,7 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
         fold_footage(plan.capture, fit.fold, fit.indices, DepthStore(plan.run.depth), 0), whole, lambda *_: None
     )
     for file in sorted(whole.rglob("*.png")):
-        assert file.read_bytes() == (job.folder / file.relative_to(whole)).read_bytes()
+        assert file.read_bytes() == (task.folder / file.relative_to(whole)).read_bytes()
 
 
 def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsys):

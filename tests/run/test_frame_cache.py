@@ -10,9 +10,15 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.run.derived_files import DIGESTS, cache_frames, cache_path, frames_left, path_left
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.pipelines.run.derived_files import cache_frames, frame_tasks, path_task
+from ggvs_eval.run_folder import JOB_FILE, frame_numbers, frame_path
 from helpers.captures import NAMES
+
+
+def frames_left(capture, numbers, root) -> dict[str, list[int]]:
+    """Camera -> frames that would be written."""
+    left = {task.folder.name: task.left() for task in frame_tasks(capture, numbers, root)}
+    return {name: frame_numbers(task.files) if task else [] for name, task in left.items()}
 
 
 @pytest.fixture
@@ -95,7 +101,7 @@ def test_frames_of_unknown_origin_are_written_again(dynerf_capture, tmp_path):
     assert frames_left(dynerf_capture.resized(*dynerf_capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {
         "cam02": [1]
     }
-    (tmp_path / "cam02" / DIGESTS).write_text("{")
+    (tmp_path / "cam02" / JOB_FILE).write_text("{")
     assert frames_left(dynerf_capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
 
 
@@ -106,10 +112,11 @@ def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):
         write_image(tmp_path / "path" / f"{pose:04d}.png", image)
 
     def cached() -> list[int]:
-        frames = ImageFrames(tmp_path / "path")
-        left = path_left(frames, (6, 4), "area", out)
-        cache_path(frames, (6, 4), "area", out)
-        return left
+        left = path_task(ImageFrames(tmp_path / "path"), (6, 4), "area", out).left()
+        if left is None:
+            return []
+        left.run()
+        return frame_numbers(left.files)
 
     assert (cached(), cached()) == ([0, 1], [])
     write_image(frame_path(out, 1), 255 - images[1][:4, :6])

@@ -1,11 +1,9 @@
 """A run folder of another version of the code opens, and says so once, by whichever command."""
 
-import json
-
 import pytest
 
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.run.work_left import describe_outdated
+from ggvs_eval.pipelines.run.outlook import describe_outdated
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
@@ -26,19 +24,13 @@ def words(tmp_path) -> list[str]:
 
 def make_old(run: RunFolder) -> None:
     """Write into a run what one of another version of the code has: other hashes of code."""
-    for file in (*run.root.glob("renders/*/*/job.json"), *run.root.glob("scores/*/job.json")):
+    for file in (*run.root.glob("renders/*/*/job.json"), *run.root.glob("scores/*/*/*/job.json")):
         record = read_json(file)
-        identities = [record["identity"], *(each.get("identity", {}) for each in record.get("methods", {}).values())]
-        identities += [each for each in record["identity"].values() if isinstance(each, dict)]
-        for identity in identities:
-            identity |= {"code": OTHER_CODE} if "code" in identity else {}
-            for metric in identity.get("metrics", {}).values():
-                metric["code"] = OTHER_CODE
-        write_json(file, record | {"sha256": OTHER_CODE, "also": []})
-    for file in run.depth.glob("*/spec.json"):
-        spec = json.loads(file.read_text())
-        spec["options"]["code"] = OTHER_CODE
-        file.write_text(json.dumps(spec))
+        write_json(file, record | {"sha256": OTHER_CODE, "identity": record["identity"] | {"code": OTHER_CODE}})
+    for file in run.depth.glob("*/job.json"):
+        record = read_json(file)
+        record["identity"]["options"]["code"] = OTHER_CODE
+        write_json(file, record)
         file.parent.rename(file.parent.with_name(f"old-{file.parent.name}"))
 
 

@@ -11,14 +11,13 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine, run_all
-from ggvs_eval.pipelines.run.derived_files import DIGESTS
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Protocol
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
 ENGINES = [Engine(2), Engine(2, "dask")]
-CLOCKED = {"job.json", "results.json", "references.json", DIGESTS}  # hold times or hosts beside the results
+CLOCKED = {"job.json", "results.json", "references.json"}  # hold times or hosts beside the results
 
 
 @pytest.fixture(scope="module")

@@ -12,27 +12,29 @@ from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
-from ggvs_eval.pipelines.methods.stage_costs import render_cost
+from ggvs_eval.pipelines.methods.stage_costs import N_BYTES, render_cost
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.run import work_left as counting
+from ggvs_eval.pipelines.run import outlook
 from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure, render
+from ggvs_eval.pipelines.run.outlook import Workload, count_work
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Workload, count_work, work_left
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
-from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
 from ggvs_eval.sweep import Sweep, SweepRow
+from ggvs_eval.tasks.task import Made, Result
+from ggvs_eval.tasks.task_list import TaskList, estimate
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
+from helpers.tasks_left import tasks_left
 
 pytestmark = [pytest.mark.usefixtures("no_figures")]
 
@@ -68,8 +70,8 @@ def n_files(folder: Path, pattern: str) -> int:
 def counts(plan: RunPlan) -> Counter[str]:
     """How much of each kind is left."""
     left: Counter[str] = Counter()
-    for piece in work_left(plan):
-        left[piece.kind] += piece.count
+    for task in tasks_left(plan):
+        left[task.kind] += task.count
     return left
 
 
@@ -84,7 +86,7 @@ def test_what_is_counted_is_what_is_made(demo_capture, protocol, finished, tmp_p
     assert left["path depth"] == n_files(run.path_depth, "*.npy")
     assert left["render"] == n_files(run.root / "renders", "*.png")
     assert left["path render"] == n_files(run.root / "path", "*.png")
-    assert {piece.folder.name for piece in work_left(plan) if piece.kind == "score"} == {"cam00", "cam01"}
+    assert {task.folder.name for task in tasks_left(plan) if task.kind == "score"} == {"cam00", "cam01"}
 
 
 def test_depth_for_checks_alone_goes_and_is_found_again_where_a_check_is_lost(demo_capture, protocol, tmp_path, monkeypatch):
@@ -133,7 +135,7 @@ def test_a_key_is_made_once(demo_capture, protocol, tmp_path, monkeypatch):
 
     plan = planned(tmp_path / "run", demo_capture, short)
     by_planning = list(described)
-    work_left(plan)
+    tasks_left(plan)
     prepare_run(plan)
 
     assert len(by_planning) == len(set(by_planning)) > 0
@@ -174,7 +176,7 @@ def test_a_source_frame_that_was_changed_is_work(demo_capture, protocol, finishe
     assert count_work([planned(tmp_path / "run", demo_capture, protocol)], tmp_path / "run").describe() == ""
 
 
-def test_jobs_are_made_once(demo_capture, protocol, tmp_path, monkeypatch):
+def test_tasks_are_made_once(demo_capture, protocol, tmp_path, monkeypatch):
     """From the plan to the last frame each method is found once, and a file of weights read once, whoever renders with it."""
     labels, found = ("no-blending", "ours", "ours+no-temporal"), []
     find = registry._found
@@ -182,24 +184,24 @@ def test_jobs_are_made_once(demo_capture, protocol, tmp_path, monkeypatch):
     spec._digest_of.cache_clear()
 
     plan = planned(tmp_path / "run", demo_capture, dataclasses.replace(protocol, frames=Frames(0, 1)), labels)
-    jobs = plan.jobs
+    renders = plan.renders
     count_work([plan], tmp_path)
-    assert render(prepare_run(plan)) == len(jobs.render) == len(labels) * 3
+    assert render(prepare_run(plan)) == len(renders) == len(labels) * 3
     count_work([plan], tmp_path)
 
     assert found == list(labels)
-    assert plan.jobs is jobs
+    assert plan.renders is renders
     assert spec._digest_of.cache_info().misses == 1  # of the weights that both networks of ours share
 
 
-def test_a_plan_names_the_jobs_that_are_then_done(demo_capture, protocol, finished):
-    """What is listed before anything is prepared is what the ledger of the finished run has, by name, folder and hash."""
-    before = planned(finished.with_name("absent"), demo_capture, protocol).jobs.render
-    _, done = Ledger(finished, "render").read()
+def test_a_plan_names_the_tasks_that_are_then_done(demo_capture, protocol, finished):
+    """What is listed before anything is prepared is what the list of the finished run has, by name, folder and hash."""
+    before = planned(finished.with_name("absent"), demo_capture, protocol).renders
+    done = TaskList(finished, "render").read()
 
-    assert [(job.name, job.sha256) for job in before] == [(entry.name, entry.sha256) for entry in done]
-    assert all(entry.is_done() for entry in done)
-    assert {(job.label, *job.units) for job in before} == {
+    assert [(task.name, task.sha256) for task in before] == [(made.name, made.sha256) for made in done]
+    assert all(made.is_done() for made in done)
+    assert {(task.label, task.unit) for task in before} == {
         (label, unit) for label in LABELS for unit in ("cam00", "cam01", "path")
     }
 
@@ -225,28 +227,34 @@ def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path,
 
 def test_time_is_that_of_frames_that_are_rendered(demo_capture, protocol, finished, tmp_path):
     """A view more of methods that have rendered others takes as long as those; frames of which nothing is known are counted."""
-    left = Piece("render", tmp_path / "a", 300, label="a", core_seconds=9.0), Piece("render", tmp_path / "b", 3, label="b")
-    text = Workload("", left, tmp_path, {"a": 2.0}, jobs=2).describe()
+    write_json(tmp_path / "other" / JOB_FILE, {"seconds": {"render": [2.0, 2.0], "blend": [0.5, 0.5]}})
+    done = (Made("other", tmp_path / "other", sha256="", kind="render", pace="a", count=2),)
+    left = (
+        Result("a", tmp_path / "a", kind="render", pace="a", count=300, cost_s=9.0),
+        Result("b", tmp_path / "b", kind="render", pace="b", count=3),
+    )
+    text = Workload("", left, done, tmp_path, jobs=2).describe()
 
-    assert text.splitlines()[2].startswith("time: about 5 min on 2 cores, and 3 pieces of unknown time; mostly rendering")
-    assert "  rendering: 303, 1 s each, 5 min" in text
+    assert text.splitlines()[2].startswith("time: about 6 min on 2 cores, and 3 pieces of unknown time; mostly rendering")
+    assert "  rendering: 303, 1.2 s each, 6 min" in text
     root = Path(shutil.copytree(finished, tmp_path / "run"))
     shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
     work = count_work([planned(root, demo_capture, protocol)], root)
-    assert work.frame_seconds[LABELS[0]] > 0
+    of_method = [task for task in work.left if task.pace == LABELS[0]]
+    assert estimate(of_method, work.done, lambda: float("nan")).seconds > 0
     assert [duration(seconds) for seconds in (7.2, 119, 121, 7199, 9000)] == ["7 s", "119 s", "2 min", "120 min", "2.5 h"]
 
 
 def test_a_long_run_has_a_line_for_every_stage(demo_capture, protocol, tmp_path):
-    """Seconds are those of this machine: core-seconds of each piece times the pace, shared by the processes."""
+    """Seconds are those of this machine: core-seconds of each task times the pace, shared by the processes."""
     plan = planned(tmp_path / "run", demo_capture, protocol)
-    pieces = work_left(plan)
-    known = sum(piece.core_seconds for piece in pieces)
-    slow = Workload("", tuple(pieces), tmp_path, jobs=2, pace=lambda: 7200 / known)
+    left = tasks_left(plan)
+    known = sum(task.cost_s * task.count for task in left)
+    slow = Workload("", tuple(left), (), tmp_path, jobs=2, pace=lambda: 7200 / known)
     assert slow.describe().splitlines()[2:] == []  # a minute of a core at pace 1 is never worth a table
 
-    large = tuple(dataclasses.replace(piece, core_seconds=piece.core_seconds * 7200 / known) for piece in pieces)
-    lines = Workload("", large, tmp_path, jobs=2, pace=lambda: 3.0).describe().splitlines()
+    large = tuple(dataclasses.replace(task, cost_s=task.cost_s * 7200 / known) for task in left)
+    lines = Workload("", large, (), tmp_path, jobs=2, pace=lambda: 3.0).describe().splitlines()
     assert lines[2].startswith("time: about 3.0 h on 2 cores; mostly ")
     assert [line.split(":")[0].strip() for line in lines[3:]] == ["decoding", "depth", "rendering", "scoring"]
 
@@ -274,7 +282,7 @@ def test_a_dry_run_leaves_nothing(demo_capture, protocol, tmp_path, capsys):
 
 def test_a_run_that_cannot_fit_is_refused(demo_capture, protocol, tmp_path, monkeypatch):
     """Where the disk has less room than the run needs, one line says both and what to do; nothing is begun."""
-    monkeypatch.setattr(counting.shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
+    monkeypatch.setattr(outlook.shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
     (tmp_path / "p.toml").write_text(protocol.to_toml())
 
     message = refusal("run", tmp_path / "run", "--capture", demo_capture.path, "--protocol", tmp_path / "p.toml")
@@ -290,7 +298,7 @@ def test_disk_is_what_the_run_leaves(finished, demo_capture, protocol, tmp_path)
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
 
-    assert work.count("checked depth") * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
+    assert work.count("checked depth") * 64 * 48 * N_BYTES["checked depth"] == pytest.approx(depth, rel=0.15)
     assert everything / 2 < work.disk_bytes < everything * 2
 
 
@@ -302,16 +310,17 @@ def test_the_plan_states_which_frames_lpips_measures(demo_capture, protocol, tmp
         plan = planned(tmp_path, demo_capture, dataclasses.replace(protocol, measurement=measurement))
         works.append(count_work([plan], tmp_path))
     assert [", LPIPS of one frame in 4; left are" in each.describe() for each in works] == [False, True]
-    whole, few = (sum(piece.core_seconds for piece in each.pieces if piece.kind == "score") for each in works)
+    whole, few = (sum(task.cost_s * task.count for task in work.left if task.kind == "score") for work in works)
     assert few < 0.5 * whole
 
 
 def test_passing_depth_makes_room_for_renders(tmp_path):
     """At once on disk are the depth for checks or the renders, whichever is larger, and all the rest."""
-    kept, passing = (Piece("depth", tmp_path / name, 1, 10.0, passing=name == "passing") for name in ("kept", "passing"))
-    renders = [Piece("render", tmp_path / name, 1, 4.0, name) for name in ("a", "b", "c")]
-    assert Workload("", (kept, passing, *renders[:1]), tmp_path).disk_bytes == 20
-    assert Workload("", (kept, passing, *renders), tmp_path).disk_bytes == 22
+    depth = [Result(name, tmp_path / name, kind="depth", n_bytes=10.0) for name in ("kept", "passing")]
+    renders = [Result(name, tmp_path / name, kind="render", n_bytes=4.0) for name in ("a", "b", "c")]
+    passing = frozenset({tmp_path / "passing"})
+    assert Workload("", (*depth, *renders[:1]), (), tmp_path, passing).disk_bytes == 20
+    assert Workload("", (*depth, *renders), (), tmp_path, passing).disk_bytes == 22
 
 
 def test_a_sweep_is_planned_as_one(demo_capture, protocol, tmp_path):

@@ -56,8 +56,8 @@ def test_shares_are_part_of_what_a_rendering_depends_on(plane_capture, tmp_path)
     """Other shares along the path, another job; equal ones, the same."""
     planned = plan_run(RunRequest(tmp_path, plane_capture, chosen_protocol("nearest"), LABELS[:1]))
     halved = tuple(replace(pose, shares=dict.fromkeys(pose.shares, 0.5)) for pose in planned.path)
-    path, view = planned.jobs.render  # the longer one first
-    other_path, same_view = replace(planned, path=halved).jobs.render
+    path, view = planned.renders  # the longer one first
+    other_path, same_view = replace(planned, path=halved).renders
     assert same_view.sha256 == view.sha256
     assert other_path.sha256 != path.sha256
 

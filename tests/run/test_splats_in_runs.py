@@ -95,14 +95,14 @@ def test_they_are_scored_and_timed(finished, sequence, plane_capture):
     assert {"moving", "still"} <= set(finished.run.labels())
     assert "moving" in str(scores)
     assert set(record["seconds"]) == {"read", "splat"}
-    assert all(job.is_done() for job in finished.jobs.render)
+    assert all(task.is_done() for task in finished.renders)
     file = sequence / "scene2_00001.ply"
     before = file.read_bytes()
     write_ply(file, cloud_before(plane_capture, 0.9))
-    jobs = plan_run(finished.request).jobs.render
+    tasks = plan_run(finished.request).renders
     file.write_bytes(before)
 
-    assert [job.is_done() for job in jobs] == [job.name.startswith("still") for job in jobs]
+    assert [task.is_done() for task in tasks] == [task.label == "still" for task in tasks]
 
 
 def test_labels_that_folders_can_bear():
@@ -198,7 +198,7 @@ def test_numbers_of_iterations_and_of_frames(plane_capture, tmp_path):
     labels, paths = named_splats([f"moving=splats:{tmp_path / 'frames'}"])
     with refused(RenderError, "wanted a cloud of frame 0, there are 2 of 1 to 3"):
         plan = plan_run(RunRequest(tmp_path / "run", plane_capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths)))
-        any(job.is_done() for job in plan.jobs.render)
+        any(task.is_done() for task in plan.renders)
     write_ply(tmp_path / "nothing.ply", random_cloud(0, dtype=torch.float32))
     with refused(RenderError, "nothing.ply", "holds no Gaussians"):
         open_splats(tmp_path / "nothing.ply")

@@ -6,14 +6,17 @@ from typing import Any
 import pytest
 import torch
 
+from ggvs_eval import scoring
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics import on_device, stream
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import plan_scores, score
+from ggvs_eval.pipelines.run.score_view import CHECKS
 from ggvs_eval.results import installed_versions
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.scoring import MetricScores
 from helpers.refusals import refused
 from helpers.render_folders import make_run, write_folders
 
@@ -53,8 +56,14 @@ def change_code(monkeypatch, *names: str) -> None:
 
 def records(run: RunFolder) -> dict[str, Any]:
     """Values in no order and reasons of every method in one view."""
-    methods = read_json(run.scores(VIEW) / JOB_FILE)["methods"]
-    return {label: (sorted(map(tuple, each["values"])), each["not_computed"]) for label, each in methods.items()}
+    by_label: dict[str, Any] = {}
+    for folder in run.scores(VIEW).glob("*/*/"):
+        if folder.name != CHECKS:
+            scores = MetricScores.read(folder)
+            values, reasons = by_label.setdefault(folder.parent.name, ([], {}))
+            values += scores.values
+            reasons |= scores.not_computed
+    return {label: (sorted(values), reasons) for label, (values, reasons) in by_label.items()}
 
 
 @pytest.mark.parametrize("changed", [("TCC",), ("STED",), ("STED_ssn",), ("PSNR_static", "L1"), MEASURED])
@@ -67,7 +76,7 @@ def test_the_metrics_whose_code_has_changed(changed, scored_run, measured, monke
 
     assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
     assert records(scored_run) == before
-    assert all(job.is_done() for job in plan_scores(scored_run, scored_run.labels(), [VIEW]).views)
+    assert all(task.is_done() for task in plan_scores(scored_run, scored_run.labels(), [VIEW]).view_tasks)
 
 
 @pytest.mark.parametrize("changed", ["mTV", "mTV2", "Sharpness"])
@@ -87,13 +96,13 @@ def test_what_is_measured_beside_a_metric_takes_the_place_of_what_was(changed, t
 
 def test_versions_of_all_that_was_made_are_kept(scored_run, monkeypatch):
     """Values that stand keep the versions they were made under; what is measured again by all loses the old ones."""
-    monkeypatch.setattr(score_view, "installed_versions", lambda: {"torch": "0.1"})
+    monkeypatch.setattr(scoring, "installed_versions", lambda: {"torch": "0.1"})
     change_code(monkeypatch, "TCC")
     mixed = score(scored_run).provenance["versions"]["torch"]
     assert mixed == f"0.1 and {installed_versions()['torch']}"
 
     change_code(monkeypatch, *MEASURED)
-    monkeypatch.setattr(score_view, "installed_versions", installed_versions)
+    monkeypatch.setattr(scoring, "installed_versions", installed_versions)
     monkeypatch.setattr(score_view, "metric_code", lambda metric: "all anew")
     assert score(scored_run).provenance["versions"]["torch"] == installed_versions()["torch"]
 
@@ -124,10 +133,10 @@ def test_another_device_measures_again_what_computes_there(scored_run, measured,
 
 def test_values_that_stand_are_those_on_disk(scored_run, monkeypatch):
     """What is not stale is not looked at: a wrong value in the record stays until its own metric is."""
-    file = scored_run.scores(VIEW) / JOB_FILE
-    text = file.read_text()
-    value = next(value for name, _, value in read_json(file)["methods"]["one"]["values"] if name == "L1")
-    file.write_text(text.replace(repr(value), "77.5"))
+    file = scored_run.scores(VIEW) / "one" / "L1" / JOB_FILE
+    record = read_json(file)
+    record["values"][0][2] = 77.5
+    write_json(file, record)
 
     change_code(monkeypatch, "TCC")
     score(scored_run)

@@ -10,11 +10,10 @@ import pytest
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import write_image
-from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.pipelines.run.score_path import path_jobs, read_paths
+from ggvs_eval.pipelines.run.score_path import path_tasks, read_paths
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
@@ -22,6 +21,7 @@ from ggvs_eval.reports.page.heat_map import heat_maps
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.run_folder import frame_path, write_json
+from ggvs_eval.tasks.run_tasks import run_tasks
 from helpers.command_line import refusal
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, write_folders
 
@@ -55,14 +55,14 @@ def test_colmap_is_run_along_a_path_where_the_protocol_names_it(tmp_path):
     for pose in range(5):
         write_image(frame_path(folder.path("one"), pose), rendered(VIEWS[0], 2 + pose % 3))
     protocol = folder.protocol()
-    (job,) = path_jobs(folder, protocol, ["one"])
-    run_jobs([job], 1, "path")
-    record = read_paths([job])["one"]
-    (other,) = path_jobs(folder, replace(protocol, measurement=Measurement(("E_warp",))), ["one"])
+    (task,) = path_tasks(folder, protocol, ["one"])
+    run_tasks([task], 1, "path")
+    record = read_paths([task])["one"]
+    (other,) = path_tasks(folder, replace(protocol, measurement=Measurement(("E_warp",))), ["one"])
 
     assert {"COLMAP_registered", "COLMAP_matches", "path_sharpness"} <= {name for name, _, _ in record["values"]}
     assert "no depth" in record["not_computed"]["E_warp"]
-    assert job.identity["code"] != other.identity["code"]
+    assert task.inputs["code"] != other.inputs["code"]
 
 
 def write_video(folder, frames):

@@ -1,5 +1,6 @@
 """Two processes that score one run folder: each waits for the other's view, and neither loses what the other has measured."""
 
+import shutil
 import subprocess
 import sys
 import time
@@ -10,7 +11,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics import stream
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import plan_scores, score
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder
 from helpers.refusals import refused
 from helpers.render_folders import VIEWS, make_run, write_folders
 
@@ -33,8 +34,7 @@ def run(tmp_path) -> RunFolder:
 
 def methods(run: RunFolder, view: str) -> set[str]:
     """Labels that have values in a view."""
-    file = run.scores(view) / JOB_FILE
-    return set(read_json(file)["methods"]) if file.is_file() else set()
+    return {folder.name for folder in run.scores(view).glob("*/") if (folder / "PSNR" / JOB_FILE).is_file()}
 
 
 @pytest.mark.slow
@@ -62,14 +62,13 @@ def test_no_update_is_lost(run, tmp_path, monkeypatch):
     table = score(run).table  # whichever of the two wrote its own last
     assert table.groupby("method")["view"].nunique().to_dict() == {"one": 2, "other": 2}
     for labels in (["one"], ["one", "other"]):
-        assert all(job.is_done() for job in plan_scores(run, labels).jobs)
+        assert all(task.is_done() for task in plan_scores(run, labels).tasks)
 
 
 def test_a_view_without_values_is_no_partial_method(run):
     """A method that has frames in a view and no values there is an error, not a row over fewer views."""
     scores = plan_scores(run, ["one"])
     score(run)
-    record = read_json(run.scores(LAST) / JOB_FILE)
-    write_json(run.scores(LAST) / JOB_FILE, record | {"methods": {}})
+    shutil.rmtree(run.scores(LAST) / "one" / "PSNR")
     with refused(RenderError, LAST, "wanted values of one", "score again"):
         scores.collect()

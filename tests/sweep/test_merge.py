@@ -16,15 +16,15 @@ from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.pipelines.sweep.merging import merge as merging
 from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
 from ggvs_eval.protocol import Protocol, Stream, Synthesis
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
+from helpers.tasks_left import tasks_left
 
 METRICS = ("PSNR", "L1", "SDT", "SDV")
 
@@ -54,6 +54,12 @@ def machines(demo_capture, protocol, tmp_path_factory):
     return root
 
 
+def values(run: RunFolder) -> dict[str, dict]:
+    """Records of all scores of one view."""
+    folder = run.scores("cam00")
+    return {file.parent.relative_to(folder).as_posix(): read_json(file) for file in folder.glob(f"*/*/{JOB_FILE}")}
+
+
 @pytest.fixture
 def runs(machines, tmp_path):
     for name in ("a", "b"):
@@ -75,15 +81,15 @@ def test_merged_runs_give_the_table_of_one_machine(machines, runs, capsys):
 def test_a_merged_run_goes_on(demo_capture, protocol, runs):
     """Nothing is left to do in a merged run: no frame is decoded, rendered or measured again."""
     merged = merge_runs(runs / "out", [runs / "a", runs / "b"])
-    before = read_json(merged.scores("cam00") / JOB_FILE)
-    assert work_left(plan_run(RunRequest(runs / "out", demo_capture, protocol, LABELS))) == []
+    before = values(merged)
+    assert tasks_left(plan_run(RunRequest(runs / "out", demo_capture, protocol, LABELS))) == []
 
     prepared = prepare(runs / "out", demo_capture, protocol, labels=LABELS)
 
     assert render(prepared) == 0
-    assert set(before["methods"]) == set(LABELS)
+    assert set(before) == {f"{label}/{name}" for label in LABELS for name in ("PSNR", "L1", "checks")}
     score(merged)
-    assert read_json(merged.scores("cam00") / JOB_FILE)["methods"] == before["methods"]
+    assert values(merged) == before
 
 
 def test_views_of_two_machines(demo_capture, protocol, machines, tmp_path):
@@ -121,27 +127,27 @@ def test_other_pictures_of_one_job_are_refused(runs):
 
     assert f"{runs / 'a'}/renders/no-blending/cam01" in message
     assert f"{runs / 'b'}/renders/no-blending/cam01" in message
-    assert "1 of 2 pictures" in message
+    assert "1 of 2 files" in message
     assert sorted(item.name for item in runs.iterdir()) == ["a", "b"]
 
 
 def test_other_values_of_one_method_are_refused(runs):
     """Values of one method that differ by more than rounding are refused; by rounding, or with the times, they may."""
-    shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
-    file, other = (RunFolder(runs / name).scores("cam00") / JOB_FILE for name in ("a", "b"))
-    record, ours = json.loads(file.read_text()), json.loads(other.read_text())
-    method = record["methods"]["no-blending"]
-    method["values"][0][2] *= 1 + 1e-9
-    other.write_text(json.dumps(ours | {"methods": ours["methods"] | {"no-blending": method}}))
+    for folder in ("renders/no-blending", "scores/cam00/no-blending"):
+        shutil.copytree(runs / "a" / folder, runs / "b" / folder)
+    first, second = (RunFolder(runs / name).scores("cam00") / "no-blending" / "L1" for name in ("a", "b"))
+    record = read_json(first / JOB_FILE)
+    record["values"][0][2] *= 1 + 1e-9
+    write_json(second / JOB_FILE, record)
     merge_runs(runs / "rounded", [runs / "a", runs / "b"])
 
-    method["values"][0][2] += 0.5
-    other.write_text(json.dumps(ours | {"methods": ours["methods"] | {"no-blending": method}}))
-    with refused(ResultsError, str(file), str(other), "no-blending"):
+    record["values"][0][2] += 0.5
+    write_json(second / JOB_FILE, record)
+    with refused(ResultsError, str(first), str(second), "values"):
         merge_runs(runs / "out", [runs / "a", runs / "b"])
 
-    for scores, values in ((file, json.loads(file.read_text())["methods"]["no-blending"]), (other, method)):
-        scores.write_text(json.dumps(ours | {"methods": {"no-blending@screen": values}}))
+    for folder in (first, second):  # what is on a screen follows the times
+        folder.parent.rename(folder.parent.with_name("no-blending@screen"))
     merge_runs(runs / "screens", [runs / "a", runs / "b"])
 
 
@@ -156,7 +162,7 @@ def test_other_protocols_are_refused(runs, protocol):
     file = frame_path(RunFolder(runs / "b").truth("cam00"), 0)
     write_image(file, 255 - read_image(file))
 
-    with refused(ResultsError, "truth/cam00/0000.png", "different bytes"):
+    with refused(ResultsError, "truth/cam00", "different bytes, first 0000.png"):
         merge_runs(runs / "out", [runs / "a", runs / "b"])
 
 

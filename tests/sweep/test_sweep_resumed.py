@@ -20,10 +20,10 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import is_running
 from ggvs_eval.jobs.engine import Engine
-from ggvs_eval.jobs.ledger import read_status
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.commands.runs import status
+from ggvs_eval.pipelines.run.status import read_status
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep

@@ -1,7 +1,7 @@
 """Samples on disk: their sources, the kinds that are made of them, and the pool that keeps both together."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from json import dumps
@@ -14,10 +14,11 @@ from ggvs_eval.capture import Capture, DepthSource
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.jobs.processes import finish_all, worker_pool
+from ggvs_eval.jobs.engine import run_all
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, check_measured_depth
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
+from ggvs_eval.tasks.task import FileTask
 
 
 class SampleMaker:
@@ -208,26 +209,29 @@ class SamplePool(Generic[Sample]):
         """Return the file of a source's sample of that number."""
         return self._folder / self.kind.folder(source) / source.file_name(number)
 
-    def jobs(self) -> list[Callable[[], None]]:
-        """List the jobs that make the samples that are not there yet; each is independent, and can be sent to a worker."""
-        jobs: list[Callable[[], None]] = []
-        for source in self.sources:
-            for numbers in source.groups():
-                lacking = {number: path for number in numbers if not (path := self.path(source, number)).is_file()}
-                if lacking:
-                    jobs.append(partial(_open_and_make, source, self.kind, self._folder, lacking))
-        return jobs
+    def tasks(self) -> list[FileTask]:
+        """Return what makes the samples, a task for those that share depth."""
+        return [self._task(source, numbers) for source in self.sources for numbers in source.groups()]
+
+    def _task(self, source: SampleSource, numbers: Sequence[int]) -> FileTask:
+        by_name = {source.file_name(number): number for number in numbers}
+        return FileTask(
+            name=f"training views of {source!r}",
+            folder=self._folder / self.kind.folder(source),
+            inputs={},
+            files=tuple(by_name),
+            make=partial(_open_and_make, source, self.kind, self._folder, by_name),
+            addressed=True,
+        )
 
     def prepare(self, workers: int) -> None:
         """Make the samples that are not there yet; a killed preparation continues where it stopped.
 
         Args:
-            workers: processes that share the jobs.
+            workers: processes that share the tasks.
         """
-        jobs = self.jobs()
-        if jobs:
-            with worker_pool(min(workers, len(jobs))) as pool:
-                finish_all(pool, [pool.submit(job) for job in jobs], "training views")
+        missing = filter(None, (task.left() for task in self.tasks()))
+        run_all(FileTask.run, list(missing), workers, "training views")
 
 
 def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]) -> None:
@@ -238,7 +242,10 @@ def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Captur
         kind.write(path, kind.cropped(sample, *window) if window else sample)
 
 
-def _open_and_make(source: SampleSource, kind: SampleKind[Sample], folder: Path, paths: Mapping[int, Path]) -> None:
+def _open_and_make(
+    source: SampleSource, kind: SampleKind[Sample], folder: Path, by_name: Mapping[str, int], files: tuple[str, ...]
+) -> None:
+    paths = {by_name[name]: folder / kind.folder(source) / name for name in files}
     make_samples(source, kind, source.opened(folder, next(iter(paths))), paths)
 
 

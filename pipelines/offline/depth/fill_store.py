@@ -11,7 +11,7 @@ from ggvs_eval.camera import Camera, SourceChoice
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
-from ggvs_eval.depth_work import Instants, depth_left, missing_maps
+from ggvs_eval.depth_work import Instants, missing_depth
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, choose_sources
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
@@ -191,10 +191,10 @@ def prepare_depth(
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: instants, ascending.
     """
-    found, checked = depth_left(jobs, frames, store)
+    found, checked = missing_depth(jobs, frames, store)
     if options.matcher.rig and options.keyframe_every == 1:
         _share_pairs(capture, found, store, options, workers)
-        found, _ = depth_left(jobs, frames, store)
+        found, _ = missing_depth(jobs, frames, store)
     groups = _by_camera(found, options, as_engine(workers).jobs)
     run_all(partial(_run, capture, store, options), groups, workers, "depth maps per camera")
     run_all(partial(_check, capture, store, options), [*checked.items()], workers, "depth checked against other cameras")
@@ -234,7 +234,7 @@ def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:
 
 def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
     """Compute some jobs at some instants, each pair of cameras matched once; runs in a worker."""
-    missing = {job: missing_maps(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
+    missing = {job: _lacking(store, job, frames) for job, frames in needed.items()}
     instants = set().union(*missing.values())
     if not instants or options.matcher.rig is None:
         return
@@ -249,6 +249,12 @@ def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, ne
         for job, depth_map in zip(missing, rig.estimate(dict(zip(names, images, strict=True))), strict=True):
             if frame in missing[job]:
                 store.write(job.key, frame, _filled(capture, job, frame, finish(depth_map, options), options))
+
+
+def _lacking(store: DepthStore, job: DepthJob, frames: Sequence[int]) -> list[int]:
+    """Open the folder of a job, and return the instants that another process has not written meanwhile."""
+    key = store.write_spec(job.spec)
+    return [frame for frame in frames if not store.has(key, frame)]
 
 
 def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[DepthJob, Sequence[int]]) -> None:
@@ -271,7 +277,7 @@ def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tup
 
 def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
     """Compute frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
-    missing = {job: missing_maps(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
+    missing = {job: _lacking(store, job, frames) for job, frames in needed.items()}
     jobs, wanted = [*missing], set().union(*missing.values())
     if not wanted:
         return

@@ -30,6 +30,7 @@ from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import read_record
 
 # What a refusal for want of depth adds.
 WITHOUT_DEPTH = "methods without depth, such as enerf and ibrnet, still run"
@@ -90,7 +91,8 @@ class MatchedDepth:
     @staticmethod
     def is_outdated(run: RunFolder) -> bool:
         """Return whether all depth of a run was found by other code."""
-        found = {read_json(file)["options"].get("code") for file in run.depth.glob("*/spec.json")}
+        specs = [read_record(folder).get("identity", {}) for folder in run.depth.glob("*/")]
+        found = {spec["options"].get("code") for spec in specs if "options" in spec}
         try:
             options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
             of_sensors = [code_of(str(SENSORS.root(name))) for name in SENSORS.present()]

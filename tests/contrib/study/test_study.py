@@ -1,5 +1,7 @@
 """A whole study of a video: verdicts that are known, what is resumed, and what is refused."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,11 +12,12 @@ from ggvs_eval.contrib.study.takes import StudyOptions
 from ggvs_eval.errors import CaptureError, MetricError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
-from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics import registry
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.statistics.rank_correlation import answer
+from ggvs_eval.tasks import run_tasks
+from ggvs_eval.tasks.task import Task
 from helpers.command_line import refusal
 from helpers.noise_scenes import clean_video
 
@@ -66,15 +69,15 @@ def test_an_interrupted_study_goes_on(studied, videos, tmp_path, monkeypatch):
     """What was measured before an interrupt is not measured again, and the outcome is that of a study in one go."""
     study, options, _ = studied
     ran: list[str] = []
-    run = Job.run
+    run = run_tasks.run_batch
 
-    def interrupted(job: Job) -> None:
+    def interrupted(batch: Sequence[Task]) -> None:
         if len(ran) == INTERRUPTED_AFTER:
             raise KeyboardInterrupt
-        ran.append(job.name)
-        run(job)
+        ran.append(batch[0].name)
+        run(batch)
 
-    monkeypatch.setattr(Job, "run", interrupted)
+    monkeypatch.setattr(run_tasks, "run_batch", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run_study(tmp_path / "again", [videos], options)
     before, ran = ran, []

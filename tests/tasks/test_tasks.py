@@ -1,4 +1,4 @@
-"""Jobs: made once, whole or not at all, and a failure stops nothing but itself."""
+"""Tasks: made once, whole or not at all, and a failure stops nothing but itself."""
 
 import os
 import signal
@@ -15,9 +15,10 @@ import pytest
 
 from ggvs_eval.errors import CaptureError, RenderError
 from ggvs_eval.files.atomic import is_running
-from ggvs_eval.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
-from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.run_folder import JOB_FILE, read_json
+from ggvs_eval.tasks.run_tasks import BrokenTaskError, attempt_tasks, run_tasks
+from ggvs_eval.tasks.task import Task
+from ggvs_eval.tasks.task_list import TaskList
 from helpers.refusals import refused
 
 ONE_OR_TWO = [1, pytest.param(2, marks=pytest.mark.slow)]
@@ -44,8 +45,10 @@ def wait_for(condition: Callable[[], Any], seconds: float = 60) -> Any:
     return found
 
 
-def number_job(root: Path, number: int) -> Job:
-    return Job(f"number {number}", root / f"n{number}", {"number": number}, partial(write_number, number))
+def number_job(root: Path, number: int) -> Task:
+    return Task(
+        name=f"number {number}", folder=root / f"n{number}", inputs={"number": number}, make=partial(write_number, number)
+    )
 
 
 @pytest.mark.parametrize("workers", ONE_OR_TWO)
@@ -53,23 +56,27 @@ def test_a_job_runs_once(workers, tmp_path):
     """The second call finds every result and runs nothing, the record lies beside it; another identity replaces it."""
     jobs = [number_job(tmp_path, number) for number in range(3)]
 
-    first, second = run_jobs(jobs, workers, ""), run_jobs(jobs, workers, "")
+    first, second = run_tasks(jobs, workers, ""), run_tasks(jobs, workers, "")
 
     assert (first, second) == (3, 0)
     assert read_json(tmp_path / "n2" / JOB_FILE)["double"] == 4
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n0", "n1", "n2"]
-    again = Job("number 2", tmp_path / "n2", {"number": 5}, partial(write_number, 5))  # another identity in its place
-    assert run_jobs([again], workers, "") == 1
+    again = Task(
+        name="number 2", folder=tmp_path / "n2", inputs={"number": 5}, make=partial(write_number, 5)
+    )  # another identity in its place
+    assert run_tasks([again], workers, "") == 1
     assert (tmp_path / "n2" / "number.txt").read_text() == "5"
 
 
 @pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     """The others finish, the failed one leaves no folder, and one error lists what failed."""
-    broken = [Job(f"broken {i}", tmp_path / f"b{i}", {"broken": i}, partial(fail, f"cam{i:02d} is gone")) for i in range(2)]
+    broken = [
+        Task(f"broken {i}", tmp_path / f"b{i}", inputs={"broken": i}, make=partial(fail, f"cam{i:02d} is gone")) for i in range(2)
+    ]
 
     with refused(RenderError, "2 of 4", "cam00 is gone", "cam01 is gone"):
-        run_jobs([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
+        run_tasks([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
 
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
@@ -77,30 +84,34 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
 @pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_bug_is_raised_when_the_others_are_done(workers, tmp_path):
     """What is no mistake of the user's comes with its traceback, after all other jobs."""
-    jobs = [Job("buggy", tmp_path / "b", {"bug": 1}, stumble), number_job(tmp_path, 1), number_job(tmp_path, 2)]
+    jobs = [
+        Task("buggy", tmp_path / "b", inputs={"bug": 1}, make=stumble),
+        number_job(tmp_path, 1),
+        number_job(tmp_path, 2),
+    ]
 
-    with pytest.raises(BrokenJobError, match=r"(?s)buggy: KeyError: 'absent'.*in stumble"):
-        run_jobs(jobs, workers, "")
+    with pytest.raises(BrokenTaskError, match=r"(?s)buggy: KeyError: 'absent'.*in stumble"):
+        run_tasks(jobs, workers, "")
 
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
 
 def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
     """The reason lies beside the results; the same job forgets it when it is done, another job in its folder never had it."""
-    ledger = Ledger(tmp_path, "render")
-    broken = Job("n", tmp_path / "n", {"number": 1}, partial(fail, "cam00 is gone"))
-    mended = Job("n", tmp_path / "n", {"number": 1}, partial(write_number, 1))
-    other = Job("n", tmp_path / "n", {"number": 2}, partial(write_number, 2))
+    ledger = TaskList(tmp_path, "render")
+    broken = Task("n", tmp_path / "n", inputs={"number": 1}, make=partial(fail, "cam00 is gone"))
+    mended = Task("n", tmp_path / "n", inputs={"number": 1}, make=partial(write_number, 1))
+    other = Task("n", tmp_path / "n", inputs={"number": 2}, make=partial(write_number, 2))
 
-    failed = attempt_jobs([broken], 1, "", ledger)
-    reasons = [ledger.failure(job.entry) for job in (mended, other)]
-    attempt_jobs([mended], 1, "", ledger)
+    failed = attempt_tasks([broken], 1, "", ledger)
+    reasons = [ledger.failure(task.made) for task in (mended, other)]
+    attempt_tasks([mended], 1, "", ledger)
 
     assert failed.done == 0
     assert list(failed.failures) == [reasons[0]]
     assert "cam00 is gone" in str(reasons[0])
     assert reasons[1] is None
-    assert ledger.failure(mended.entry) is None
+    assert ledger.failure(mended.made) is None
 
 
 def test_what_another_process_works_on_is_left_alone(tmp_path):
@@ -111,7 +122,7 @@ def test_what_another_process_works_on_is_left_alone(tmp_path):
     alive.mkdir()
     dead.mkdir()
 
-    run_jobs([job], 1, "")
+    run_tasks([job], 1, "")
 
     assert sorted(item.name for item in tmp_path.iterdir()) == [alive.name, "n1"]
 
@@ -140,19 +151,20 @@ def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
     """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
     script = (
         "import sys, time; from functools import partial; from pathlib import Path\n"
-        "from ggvs_eval.jobs.job import Job, run_jobs\n"
+        "from ggvs_eval.tasks.run_tasks import run_tasks\n"
+        "from ggvs_eval.tasks.task import Task\n"
         "def work(number, folder):\n"
         "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else 0)\n"
         "    return {}\n"
         "root = Path(sys.argv[1])\n"
-        "run_jobs([Job('', root / f'n{n}', {'number': n}, partial(work, n)) for n in range(3)], 1, '')\n"
+        "run_tasks([Task('', root / f'n{n}', inputs={'number': n}, make=partial(work, n)) for n in range(3)], 1, '')\n"
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
     assert wait_for(lambda: list(tmp_path.glob(".n1.*.tmp")))
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
 
-    done = run_jobs([number_job(tmp_path, number) for number in range(3)], 1, "")
+    done = run_tasks([number_job(tmp_path, number) for number in range(3)], 1, "")
 
     assert done == 2
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n0", "n1", "n2"]
