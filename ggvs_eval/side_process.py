@@ -133,8 +133,11 @@ def serve(read: Callable[[Any], Any], unfinished: Sized = (), prints: bool = Fal
             answer = "", read(request)
         except Exception as error:
             answer = _reason(error), None
-        pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
-        answers.flush()
+        try:
+            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()
+        except BrokenPipeError:  # nobody waits any more
+            os._exit(1)
 
 
 def _reason(error: Exception) -> str:

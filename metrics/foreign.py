@@ -39,10 +39,9 @@ def foreign_values(names: Sequence[str], *arguments: Any, scoring: tuple[Any, ..
     """
     failure = _failure(names)
     with foreign(failure, MetricError):
-        answer = PROCESSES[failure].ask((tuple(METRICS.origins(names)), arguments, scoring))
-    if isinstance(answer, str):
-        raise MetricError(answer)
-    values: list[Any] = answer
+        values: list[Any] | str = PROCESSES[failure].ask((tuple(METRICS.origins(names)), arguments, scoring))
+    if isinstance(values, str):
+        raise MetricError(values)
     return values
 
 
