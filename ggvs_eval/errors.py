@@ -6,7 +6,9 @@ The command line prints these in one line and exits with 1. Anything else is a b
 import errno
 import os
 import re
+import traceback
 from collections.abc import Iterable
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -169,3 +171,26 @@ def no_such_path(path: Path, wanted: str) -> str:
 
 def _plain_numbers(name: str) -> str:
     return re.sub(r"\d+", lambda number: number[0].lstrip("0") or "0", name).casefold()
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Reason why something was not done.
+
+    Attributes:
+        traceback: of bugs of the package; empty if the user can fix it.
+    """
+
+    name: str
+    message: str
+    traceback: str = ""
+
+    def __str__(self) -> str:
+        """Return the name of the task and the reason in one line."""
+        return f"{self.name}: {' '.join(self.message.split())}"
+
+    @classmethod
+    def of(cls, name: str, error: Exception) -> "Failure":
+        """Make the failure of a task from an error; call it while the error is handled."""
+        line = mendable(error)
+        return cls(name, line) if line else cls(name, f"{type(error).__name__}: {error}", traceback.format_exc())

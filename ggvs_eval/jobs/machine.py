@@ -1,13 +1,17 @@
-"""This machine: free memory, of the machine or the container, and the time of known work."""
+"""This machine: free memory, of the machine or the container, the time of known work, and how long tasks take by it."""
 
 import threading
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import perf_counter
 
 import cv2
 import numpy as np
+
+from ggvs_eval.tasks.task import Made, Result, read_record
 
 CGROUP = Path("/sys/fs/cgroup")
 MEMINFO = Path("/proc/meminfo")
@@ -120,3 +124,47 @@ def probe_s() -> float:
     for _ in range(MATCHES):
         matcher.compute(image, image)
     return perf_counter() - started
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Time of some results.
+
+    Attributes:
+        seconds: of a core, for those that are known.
+        unknown: number of files, maps or scenes without an estimate.
+    """
+
+    seconds: float
+    unknown: int
+
+
+def estimate(left: Iterable[Result], done: Iterable[Made] = (), pace: Callable[[], float] = pace) -> Estimate:
+    """Return the time that results take.
+
+    Args:
+        done: results that were made here.
+        pace: seconds that a core-second of `Result.cost_s` takes here; called where a cost is used.
+    """
+    paces = _paces(done)
+    seconds, unknown = 0.0, 0
+    for result in left:
+        word = result.pace or result.kind
+        if word in paces:
+            seconds += result.count * paces[word]
+        elif result.cost_s is not None:
+            seconds += result.count * result.cost_s * pace()
+        else:
+            unknown += result.count
+    return Estimate(seconds, unknown)
+
+
+def _paces(done: Iterable[Made]) -> dict[str, float]:
+    """Return the mean seconds of a file for each word of pace."""
+    took: dict[str, list[float]] = defaultdict(list)
+    for made in done:
+        seconds = read_record(made.folder).get("seconds")  # of each stage of each file, or of all together
+        if seconds:
+            whole = sum(map(sum, seconds.values())) if isinstance(seconds, dict) else seconds
+            took[made.pace or made.kind].append(whole / max(made.count, 1))
+    return {word: sum(seconds) / len(seconds) for word, seconds in took.items()}

@@ -8,9 +8,8 @@ setup.py hashes into it: equal code has equal hashes on every machine, whatever 
 
 import hashlib
 import importlib.util
-import os
+import pkgutil
 import re
-from collections.abc import Iterator
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import version
@@ -24,8 +23,7 @@ PACKAGE = "ggvs_eval"
 TOP_ROOMS = ("baselines", "contrib", "metrics", "pipelines", "reports")
 BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
 COUNTED = (".py", *EXTENSION_SUFFIXES)
-# Lists of names and words for people, which move no result.
-WITHOUT_EFFECT = ("__init__", "api", "built_in", "errors", "plugins", "progress")
+WITHOUT_EFFECT = ("__init__", "api", "built_in", "errors", "plugins", "progress")  # names, and words for people
 # What every picture, depth map and number is computed with, as far as it is there.
 COMMON = tuple(f"{PACKAGE}.{room}" for room in ("files", "gaussians", "geometry", "kernels"))
 
@@ -47,15 +45,11 @@ def code_of(*names: str) -> str:
 @cache
 def package_digest() -> str:
     """Return the hash of the whole package, which machines that share tasks must have in common."""
-    tops = [PACKAGE, *(f"{PACKAGE}.{room}" for room in TOP_ROOMS)]
-    folders = [_folder(top) for top in tops if importlib.util.find_spec(top)]
-    files = {Path(place, name).resolve() for folder in folders for place, name in _walk(folder)}
-    return digest_values(*sorted(_file_digest(file) for file in files if _counts(file)))
-
-
-def _walk(folder: Path) -> Iterator[tuple[str, str]]:
-    for place, _, names in os.walk(folder, followlinks=True):  # a checkout's view of the package is made of links
-        yield from ((place, name) for name in names)
+    rooms = [PACKAGE, *(room for name in TOP_ROOMS if importlib.util.find_spec(room := f"{PACKAGE}.{name}"))]
+    for room in rooms:
+        inner = pkgutil.iter_modules([str(_folder(room))], f"{room}.")
+        rooms += [module.name for module in inner if module.ispkg and module.name not in rooms]
+    return digest_values(*map(_room_digest, sorted(rooms)))
 
 
 @cache
@@ -87,8 +81,7 @@ def _name(file: Path) -> str:
 
 def _folder(package: str) -> Path:
     spec = importlib.util.find_spec(package)
-    assert spec is not None
-    assert spec.submodule_search_locations is not None
+    assert spec is not None and spec.submodule_search_locations is not None  # noqa: PT018
     return Path(next(iter(spec.submodule_search_locations)))
 
 

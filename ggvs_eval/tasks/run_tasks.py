@@ -4,39 +4,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import Failure, RenderError
 from ggvs_eval.files.atomic import remove_leftovers
 from ggvs_eval.jobs.engine import LostJob, Workers, as_engine, run_all
 from ggvs_eval.progress import track
 from ggvs_eval.tasks.task import AnyTask, FileTask, Task, left_of, run_batch
-from ggvs_eval.tasks.task_list import Failure, TaskList
+from ggvs_eval.tasks.task_list import TaskList
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """Outcome of an attempt to run some jobs.
-
-    Attributes:
-        done: how many were run to their end; those that were done before do not count.
-    """
+    """How many tasks were run to their end, and why others were not; those that were done before do not count."""
 
     done: int
     failures: tuple[Failure, ...]
 
 
 class BrokenTaskError(RuntimeError):
-    """Bug of the package in a job; the message ends with its traceback."""
+    """Bug of the package in a task; the message ends with its traceback."""
 
 
 def run_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None) -> int:
-    """Run the jobs that are not done yet; one failure does not stop the others.
+    """Run the tasks that are not done yet; one failure does not stop the others.
 
     Args:
         workers: where they run; 1 runs them in this process.
 
     Raises:
-        RenderError: jobs failed for a reason that the user can fix; the message lists each.
-        BrokenTaskError: jobs met a bug of this package; raised when all others are done.
+        RenderError: tasks failed for a reason that the user can fix; the message lists each.
+        BrokenTaskError: tasks met a bug of this package; raised when all others are done.
     """
     attempt = attempt_tasks(tasks, workers, description, task_list)
     if not attempt.failures:
@@ -49,7 +45,7 @@ def run_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_li
 
 
 def attempt_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None) -> Attempt:
-    """Run the jobs that are not done yet and return the failures; arguments as of `run_tasks`."""
+    """Run the tasks that are not done yet and return the failures; arguments as of `run_tasks`."""
     batches: dict[Path, list[Task]] = {}
     for task in tasks:
         if not task.is_done():

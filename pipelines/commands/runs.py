@@ -11,7 +11,7 @@ import tyro
 
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
-from ggvs_eval.errors import ProtocolError, ResultsError, WeightsError
+from ggvs_eval.errors import Failure, ProtocolError, ResultsError, WeightsError
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
@@ -36,7 +36,6 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method, named_sce
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.tasks.task_list import Failure
 
 NO_SPLATS: Mapping[str, Path] = {}
 DEPTH_OUTPUTS: Registry[Any] = Registry("outputs of depth", built_in.DEPTH_OUTPUTS)

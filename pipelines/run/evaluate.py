@@ -16,7 +16,7 @@ from ggvs_eval.coverage import lacks_path, read_coverage, require_imported
 from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.depth_options import DepthRunOptions
-from ggvs_eval.errors import ResultsError
+from ggvs_eval.errors import Failure, ResultsError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
@@ -32,7 +32,7 @@ from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.tasks.identity import code_of
 from ggvs_eval.tasks.run_tasks import attempt_tasks, run_tasks
 from ggvs_eval.tasks.task import Task, left_of
-from ggvs_eval.tasks.task_list import Failure, TaskList
+from ggvs_eval.tasks.task_list import TaskList
 
 Value = TypeVar("Value")
 AnyTask = TypeVar("AnyTask", bound=Task)

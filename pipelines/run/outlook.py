@@ -9,7 +9,7 @@ from typing import Any
 
 from ggvs_eval.coverage import read_coverage
 from ggvs_eval.errors import GgvsError, ProtocolError
-from ggvs_eval.jobs.machine import pace
+from ggvs_eval.jobs.machine import Estimate, estimate, pace
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -23,7 +23,6 @@ from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST
 from ggvs_eval.run_folder import JOB_FILE, RunFolder
 from ggvs_eval.tasks.task import FileTask, Made, Result, left_of, read_record
-from ggvs_eval.tasks.task_list import Estimate, estimate
 
 RENDERS = ("render", "path render")
 GB = 1e9

@@ -13,7 +13,7 @@ from ggvs_eval.coverage import Coverage, read_coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.finding import Finding
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.machine import pace
+from ggvs_eval.jobs.machine import estimate
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, known_method
@@ -27,7 +27,7 @@ from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, r
 from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, MetricScores, ScoredMethod, ScorePart, ScoreRequest, Value
 from ggvs_eval.tasks.run_tasks import run_tasks
 from ggvs_eval.tasks.task import Task
-from ggvs_eval.tasks.task_list import TaskList, estimate
+from ggvs_eval.tasks.task_list import TaskList
 
 GIVEN = "weights that were given"
 
@@ -104,7 +104,7 @@ class Scores:
         frames = len(views) * protocol.frames.count
         if frames * len(labels) < TOLD_FRAMES or self.device != "cpu":
             return ""
-        seconds = estimate(left, (), pace).seconds / min(workers, len(views))
+        seconds = estimate(left).seconds / min(workers, len(views))
         every = protocol.measurement.lpips_every
         of_lpips = (
             f"; {COSTLIEST} of {'every frame' if every == 1 else f'one frame in {every}'}"

@@ -4,12 +4,12 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.errors import ResultsError
+from ggvs_eval.errors import Failure, ResultsError
 from ggvs_eval.files.atomic import is_in_hand, scratch_folders
-from ggvs_eval.jobs.machine import pace
+from ggvs_eval.jobs.machine import estimate
 from ggvs_eval.progress import duration
 from ggvs_eval.tasks.task import Made
-from ggvs_eval.tasks.task_list import Failure, TaskList, estimate
+from ggvs_eval.tasks.task_list import TaskList
 
 STAGES = ("fit", "render", "score")
 MEBIBYTE = 1 << 20
@@ -82,7 +82,7 @@ def _stage_status(task_list: TaskList, root: Path) -> StageStatus:
     failures = {folder: failure for folder in waiting if (failure := task_list.failure(batches[folder][0]))}
     missing = [folder for folder in waiting if folder not in failures]
     left = [made for folder in (*running, *missing) for made in batches[folder] if not made.is_done()]
-    work = estimate(left, [made for folder in done for made in batches[folder]], pace)
+    work = estimate(left, [made for folder in done for made in batches[folder]])
     return StageStatus(
         stage=task_list.stage,
         done=len(done),

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 from ggvs_eval.built_in import LEARNED_BASELINES
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_options import DepthRunOptions
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import Failure, RenderError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
-from ggvs_eval.jobs.machine import pace
+from ggvs_eval.jobs.machine import estimate, pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import usual_methods
@@ -30,7 +30,7 @@ from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.shipped import MAIN, ROOMS, write_room
-from ggvs_eval.tasks.task_list import Failure
+from ggvs_eval.tasks.task import Result
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
@@ -227,7 +227,9 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     page = RunFolder(root).report / "index.html"
     if (page.is_file() and not first_root(root).exists()) or any(name not in CORE_SECONDS for name in labels):
         return ""
-    whole, first = (seconds * probe() / jobs for seconds in (sum(CORE_SECONDS.values()), FIRST_CORE_SECONDS))
+    rooms = [Result(name, root, cost_s=seconds) for name, seconds in CORE_SECONDS.items()]
+    first_page = Result("first page", root, cost_s=FIRST_CORE_SECONDS)
+    whole, first = (estimate(results, pace=probe).seconds / jobs for results in (rooms, [first_page]))
     return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows"
 
 

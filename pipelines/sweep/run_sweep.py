@@ -9,7 +9,7 @@ import pandas as pd
 
 from ggvs_eval.coverage import read_import
 from ggvs_eval.depth_options import DepthRunOptions
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.errors import Failure, ProtocolError
 from ggvs_eval.files.atomic import atomic_file, locked
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.processes import kept_workers
@@ -23,7 +23,6 @@ from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_c
 from ggvs_eval.results import reduced_mark, split_label
 from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep
-from ggvs_eval.tasks.task_list import Failure
 
 LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
 

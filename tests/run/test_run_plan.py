@@ -12,6 +12,7 @@ from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.jobs.machine import estimate
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
@@ -30,7 +31,7 @@ from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
 from ggvs_eval.sweep import Sweep, SweepRow
 from ggvs_eval.tasks.task import Made, Result
-from ggvs_eval.tasks.task_list import TaskList, estimate
+from ggvs_eval.tasks.task_list import TaskList
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
@@ -179,8 +180,8 @@ def test_a_source_frame_that_was_changed_is_work(demo_capture, protocol, finishe
 def test_tasks_are_made_once(demo_capture, protocol, tmp_path, monkeypatch):
     """From the plan to the last frame each method is found once, and a file of weights read once, whoever renders with it."""
     labels, found = ("no-blending", "ours", "ours+no-temporal"), []
-    find = registry._found
-    monkeypatch.setattr(registry, "_found", lambda label, given: found.append(label) or find(label, given))
+    find = registry._as_shipped
+    monkeypatch.setattr(registry, "_as_shipped", lambda label: found.append(label) or find(label))
     spec._digest_of.cache_clear()
 
     plan = planned(tmp_path / "run", demo_capture, dataclasses.replace(protocol, frames=Frames(0, 1)), labels)

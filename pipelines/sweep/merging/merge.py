@@ -190,4 +190,4 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     ledgers = [read_json(file) for run in runs if (file := run.root / JOBS_FOLDER / "render.json").is_file()]
     if ledgers:
         jobs = {name: job for ledger in reversed(ledgers) for name, job in ledger["jobs"].items()}
-        write_json(folder / JOBS_FOLDER / "render.json", {"begun_s": min(each["begun_s"] for each in ledgers), "jobs": jobs})
+        write_json(folder / JOBS_FOLDER / "render.json", {"jobs": jobs})
