@@ -98,7 +98,7 @@ class FittedMethod(SceneMethod):
 
     def on(self, device: str) -> "FittedMethod":
         """Return the method on a device, where its fitter takes one."""
-        takes_device = "device" in [each.name for each in fields(resolve_name(self.fitter))]
+        takes_device = "device" in [option.name for option in fields(resolve_name(self.fitter))]
         return replace(self, device=device) if takes_device else self
 
     def _fit(self, unit: RenderUnit) -> Made:

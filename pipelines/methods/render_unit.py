@@ -87,7 +87,7 @@ class RenderUnit:
             return self._along_path()
         if isinstance(method, LookaheadMethod):
             backwards = (range(index, index + 1) for index in reversed(self.frames))
-            method.look_ahead(instant for each in backwards for instant in self._decoded(each))
+            method.look_ahead(instant for frames in backwards for instant in self._decoded(frames))
         return self._decoded(self.frames)
 
     def _along_path(self) -> Iterator[Instant]:

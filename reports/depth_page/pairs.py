@@ -103,8 +103,8 @@ def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -
     """
     rotations = (pair.rotation, pair.rotation @ camera.rotation @ partner.rotation.T)
     places = []
-    for each, rotation, pixels in zip((camera, partner), rotations, np.moveaxis(uv, 1, 0), strict=True):
-        ray = np.concatenate([(pixels - each.K[:2, 2]) / each.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
+    for seen_by, rotation, pixels in zip((camera, partner), rotations, np.moveaxis(uv, 1, 0), strict=True):
+        ray = np.concatenate([(pixels - seen_by.K[:2, 2]) / seen_by.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
         x, y, z = pair.projection @ rotation @ ray.T
         with np.errstate(divide="ignore", invalid="ignore"):
             places.append(np.where(z > 0, (x / z, y / z), np.nan).T)
@@ -142,9 +142,9 @@ def pair_picture(
     columns = [_span(inside, axis=0) for _, inside in sides]
     scale = _scale(turns, rows, columns)
     halves = []
-    for side, ((warped, inside), each) in enumerate(zip(sides, columns, strict=True)):
-        window = np.where(inside[..., None], warped, np.uint8(GREY))[rows, each]
-        corner = np.array([each.start, rows.start])
+    for side, ((warped, inside), span) in enumerate(zip(sides, columns, strict=True)):
+        window = np.where(inside[..., None], warped, np.uint8(GREY))[rows, span]
+        corner = np.array([span.start, rows.start])
         halves.append(_draw(window, (places[:, side] - corner), scale))
     beside = turns % 2 == 0
     joined = [np.rot90(half, turns) for half in halves]
@@ -167,7 +167,7 @@ def _span(inside: NDArray[np.bool_], axis: int) -> slice:
 
 def _scale(turns: int, rows: slice, columns: list[slice]) -> float:
     """Return the scale that fits both halves into the picture; nothing is magnified."""
-    height, width = rows.stop - rows.start, max(each.stop - each.start for each in columns)
+    height, width = rows.stop - rows.start, max(span.stop - span.start for span in columns)
     if turns % 2 == 0:
         return min(1.0, (WIDTH_PX - GAP_PX) / 2 / width)
     return min(1.0, WIDTH_PX / height, HEIGHT_PX / width)

@@ -100,7 +100,7 @@ class Resynthesis:
         return float(self.difference[self.is_seen].mean()) if self.is_seen.any() else 0.0
 
 
-def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other_image: Image8) -> Resynthesis:
+def resynthesise(camera: Camera, depth: Map, image: Image8, partner: Camera, partner_image: Image8) -> Resynthesis:
     """Look up each pixel of a camera in another camera's image, by its depth.
 
     Args:
@@ -113,10 +113,10 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
     """
     has_depth = depth > 0
     tolerance = SAME_SURFACE * float(np.median(depth[has_depth])) if has_depth.any() else SAME_SURFACE * camera.near
-    view = splat_depth(camera, depth, other, near=0.1 * min(camera.near, other.near))
+    view = splat_depth(camera, depth, partner, near=0.1 * min(camera.near, partner.near))
     seen_from_there = np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
-    other_colours = other_image.astype(np.float32) / np.float32(255)
-    warped = warp(camera, depth, other, other_colours, seen_from_there, tolerance, bicubic=True)
+    partner_colours = partner_image.astype(np.float32) / np.float32(255)
+    warped = warp(camera, depth, partner, partner_colours, seen_from_there, tolerance, bicubic=True)
     is_seen = has_depth & (warped.visibility > 0.5)
     gain = _gain(image[is_seen], warped.colour[is_seen] * 255)
     colour = warped.colour * np.asarray(gain, np.float32)
@@ -128,7 +128,7 @@ def _gain(truth: NDArray[np.uint8], warped: NDArray[np.float32]) -> tuple[float,
     """Return the median ratio of the pixels (N, 3) per channel; dark pixels show only noise."""
     bright = (truth > 16) & (warped > 16)
     ratios = [truth[:, c][bright[:, c]] / warped[:, c][bright[:, c]] for c in range(3)]
-    red, green, blue = (float(np.median(each)) if each.size >= FEWEST_PIXELS else 1.0 for each in ratios)
+    red, green, blue = (float(np.median(ratio)) if ratio.size >= FEWEST_PIXELS else 1.0 for ratio in ratios)
     return red, green, blue
 
 
@@ -202,14 +202,14 @@ def write_instant(
     depth_map: DepthMap,
     depth_range: tuple[float, float],
     filled_confidence: float,
-    other: tuple[Camera, Image8] | None,
+    partner: tuple[Camera, Image8] | None,
 ) -> InstantPictures:
     """Write the pictures of a camera at one instant.
 
     Args:
         image: what it saw, RGB uint8 (H, W, 3).
         depth_range: nearest and farthest depth of the colours, world units.
-        other: the camera to make the image again from, with what that one saw at the same instant.
+        partner: the camera to make the image again from, with what that one saw at the same instant.
     """
     start = f"{stem}_{frame:06d}"
     depth, confidence = _sampled(depth_map.depth), _sampled(depth_map.confidence)
@@ -219,18 +219,18 @@ def write_instant(
         image=_write(folder / f"{start}_image.jpg", _shrunk(image)),
         depth=_write(folder / f"{start}_depth.jpg", depth_colours(depth, *depth_range)),
         confidence=_write(folder / f"{start}_confidence.jpg", confidence_colours(confidence, depth > 0, is_filled)),
-        again=None if other is None else _write_again(folder, start, resynthesise(camera, depth_map.depth, image, *other)),
+        again=None if partner is None else _write_again(folder, start, resynthesise(camera, depth_map.depth, image, *partner)),
     )
 
 
-def _write_again(folder: Path, start: str, made: Resynthesis) -> PicturesAgain:
-    is_seen = _sampled_mask(made.is_seen)
+def _write_again(folder: Path, start: str, again: Resynthesis) -> PicturesAgain:
+    is_seen = _sampled_mask(again.is_seen)
     return PicturesAgain(
-        image=_write(folder / f"{start}_again.jpg", with_checks(_shrunk(made.image), is_seen)),
-        difference=_write(folder / f"{start}_difference.jpg", difference_colours(_sampled(made.difference), is_seen)),
-        error=made.error,
-        covered=made.covered,
-        gain=made.gain,
+        image=_write(folder / f"{start}_again.jpg", with_checks(_shrunk(again.image), is_seen)),
+        difference=_write(folder / f"{start}_difference.jpg", difference_colours(_sampled(again.difference), is_seen)),
+        error=again.error,
+        covered=again.covered,
+        gain=again.gain,
     )
 
 
@@ -249,12 +249,12 @@ def write_pairs(
         partners: the cameras it is matched with and what they saw.
         matches: partner -> matched pixels of camera and partner, (M, 2, 2).
     """
-    written = []
+    pictures = []
     for number, (partner, partner_image) in enumerate(partners):
         picture, beside = pair_picture(rectify(camera, partner), camera, partner, image, partner_image, matches[partner.name])
         file = _write(folder / f"{stem}_pair{number}.jpg", picture)
-        written.append(PictureOfPair(partner.name, file, beside))
-    return tuple(written)
+        pictures.append(PictureOfPair(partner.name, file, beside))
+    return tuple(pictures)
 
 
 def _shrunk(image: Image8) -> Image8:

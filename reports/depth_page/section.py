@@ -7,7 +7,6 @@
     FOLDER/pictures/*.jpg
 """
 
-import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -26,6 +25,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
 from ggvs_eval.files.atomic import write_text
+from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
@@ -69,47 +69,48 @@ def write_depth_page(
     """
     if not stored:
         raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
-    described = [VERSION, filled_confidence, capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names]
-    identity = hashlib.sha256(json.dumps([described, [asdict(each) for each in stored]]).encode()).hexdigest()
+    units = capture.units_per_metre, capture.units_origin
+    described = [VERSION, filled_confidence, capture.scene, *units, capture.camera_names]
+    identity = digest_values(json.dumps([described, [asdict(maps) for maps in stored]]))
     if _is_written(folder, identity):
         return folder / "index.html"
     shutil.rmtree(folder, ignore_errors=True)
     with worker_pool(min(workers, len(stored))) as pool:
         record = examine_depth(pool, folder / PICTURES, capture, stored, store, filled_confidence)
     files = sorted(path.name for path in (folder / PICTURES).iterdir())
-    told = tell(record)
-    write_text(folder / "index.html", render_depth_page(told))
-    write_json(folder / RECORD, {"identity": identity, "files": files, **told})
+    summary = summarise(record)
+    write_text(folder / "index.html", render_depth_page(summary))
+    write_json(folder / RECORD, {"identity": identity, "files": files, **summary})
     return folder / "index.html"
 
 
-def tell(record: DepthRecord) -> dict[str, Any]:
+def summarise(record: DepthRecord) -> dict[str, Any]:
     """Return what the page shows and the file next to it says: the record, and what looks wrong in it."""
     return {"warnings": find_warnings(record), "notes": find_notes(record), **asdict(record)}
 
 
-def render_depth_page(told: Mapping[str, Any]) -> str:
-    """Return the page of a record, see `tell`; equal records give equal text."""
-    return fill_page(str(told["scene"]), [_sheet(told, "depth", "Depth", PICTURES)], refers=True)
+def render_depth_page(summary: Mapping[str, Any]) -> str:
+    """Return the page of a record, see `summarise`; equal records give equal text."""
+    return fill_page(summary["scene"], [_sheet(summary, "depth", "Depth", PICTURES)], refers=True)
 
 
 def depth_section(report: Report) -> SectionContent:
     """Return a sheet for each run with a depth page; with pictures if the report can name the run's folder."""
     sheets = []
     for key, run in report.runs.items():
-        folder = run.folder.root / FOLDER
-        if (folder / RECORD).is_file():
+        record = run.folder.root / FOLDER / RECORD
+        if record.is_file():
             address = report.data(key).get("full")
             pictures = f"{address}/{FOLDER}/{PICTURES}" if address else ""
             title = "Depth" if len(report.runs) == 1 else f"Depth of {run.title}"
-            sheets.append(_sheet(read_json(folder / RECORD), f"depth-{key}", title, pictures))
+            sheets.append(_sheet(read_json(record), f"depth-{key}", title, pictures))
     return SectionContent(sheets=sheets)
 
 
-def _sheet(told: Mapping[str, Any], place: str, title: str, pictures: str) -> dict[str, Any]:
+def _sheet(summary: Mapping[str, Any], place: str, title: str, pictures: str) -> dict[str, Any]:
     """What the template reads: the record, and the folder of its pictures, empty if they are elsewhere."""
     sheet = {"id": place, "title": title, "comes_first": False, "template": "depth"}
-    return {**told, **sheet, "pictures": pictures, "scales": colour_maps}
+    return {**summary, **sheet, "pictures": pictures, "scales": colour_maps}
 
 
 def _is_written(folder: Path, identity: str) -> bool:
@@ -175,13 +176,15 @@ def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDept
     items = []
     for names, frame in frame_of.items():
         items.append((*map(capture.camera, names), *(features[name, frame] for name in names)))
-    measured = _in_pool(pool, measure_pair, items, "matching features")
-    return dict(zip(frame_of, measured, strict=True))
+    errors = _in_pool(pool, measure_pair, items, "matching features")
+    return dict(zip(frame_of, errors, strict=True))
 
 
 def _describe(store: DepthStore, filled_confidence: float, stored: StoredDepth) -> Statistics:
-    maps = ((frame, store.read(stored.job.key, frame)) for frame in stored.frames)
-    return tuple(describe_map(frame, depth_map, filled_confidence) for frame, depth_map in maps)
+    statistics = []
+    for frame in stored.frames:
+        statistics.append(describe_map(frame, store.read(stored.job.key, frame), filled_confidence))
+    return tuple(statistics)
 
 
 def _find(capture: Capture, name: str, frame: int) -> Features:
@@ -227,8 +230,9 @@ def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
 
 def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float, float]:
     """Return the depth range of the colours, the same for all instants, so that they can be compared."""
-    measured = [each for each in statistics if each.measured]
-    nearest, farthest = min((each.near for each in measured), default=near), max((each.far for each in measured), default=far)
+    of_maps = [of_map for of_map in statistics if of_map.measured]
+    nearest = min((of_map.near for of_map in of_maps), default=near)
+    farthest = max((of_map.far for of_map in of_maps), default=far)
     spread = max(FLATTEST / (farthest / nearest), 1.0) ** 0.5
     return nearest / spread, farthest * spread
 
@@ -244,8 +248,8 @@ def find_warnings(record: DepthRecord) -> list[str]:
 
 def find_notes(record: DepthRecord) -> list[str]:
     """Note facts that are not necessarily wrong but good to know."""
-    notes = []
-    notes += [f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in record.pairs if pair.obstacle]
+    rejected = [pair for pair in record.pairs if pair.obstacle]
+    notes = [f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in rejected]
     unmeasured = [f"{pair.camera}-{pair.partner}" for pair in record.pairs if not pair.matches and not pair.obstacle]
     if unmeasured:
         notes.append(
@@ -258,27 +262,27 @@ def find_notes(record: DepthRecord) -> list[str]:
 
 
 def _about_pairs(pairs: Sequence[PairErrors]) -> Iterator[str]:
-    measured = [pair for pair in pairs if pair.matches]
-    off = sorted((pair for pair in measured if pair.row_px > MOST_ROW_PX), key=lambda pair: -pair.row_px)
+    matched = [pair for pair in pairs if pair.matches]
+    off = sorted((pair for pair in matched if pair.row_px > MOST_ROW_PX), key=lambda pair: -pair.row_px)
     if off:
         listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.row_px:.1f} px" for pair in off)
         yield (
-            f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(measured)} "
+            f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(matched)} "
             f"pairs: {listed}. A camera in each is calibrated wrongly or did not film at the same instant; ggvs-eval check shows "
             "which."
         )
-    outside = sorted((pair for pair in measured if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside)
+    outside = sorted((pair for pair in matched if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside)
     if outside:
         listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.outside:.0%}" for pair in outside)
         yield (
-            f"Matched points have disparities that are not looked for in {len(outside)} of {len(measured)} pairs: {listed}. The "
+            f"Matched points have disparities that are not looked for in {len(outside)} of {len(matched)} pairs: {listed}. The "
             "depth range of the capture is too narrow, or these cameras are calibrated wrongly."
         )
 
 
 def _about_camera(camera: CameraRecord) -> Iterator[str]:
     for stored, statistics in camera.jobs:
-        worst = min(statistics, key=lambda each: each.measured)
+        worst = min(statistics, key=lambda of_map: of_map.measured)
         if worst.measured < LEAST_MEASURED:
             yield (
                 f"{camera.label(stored)}: only {worst.measured:.0%} of the pixels have a measured depth at frame "
@@ -291,20 +295,23 @@ def _about_camera(camera: CameraRecord) -> Iterator[str]:
             )
         if len(stored.job.partner_names) == 1:
             yield f"{camera.label(stored)}: matched with {stored.job.partner_names[0]} alone, so that nothing confirms its depth."
-    gains = [gain for each in camera.pictures.instants if each.again for gain in each.again.gain]
-    if gains:
-        extreme = max(gains, key=lambda gain: abs(np.log(gain)))
-        if abs(np.log(extreme)) > np.log(MOST_GAIN):
-            yield (
-                f"{camera.name}: its colours differ from those of {camera.pictures.again_from} by a factor of {extreme:.2f}; "
-                "ggvs-eval check compares the exposures of all cameras."
-            )
+    pictured = [instant.again for instant in camera.pictures.instants if instant.again]
+    gains = [gain for again in pictured for gain in again.gain]
+    extreme = max(gains, key=lambda gain: abs(np.log(gain)), default=1.0)
+    if abs(np.log(extreme)) > np.log(MOST_GAIN):
+        yield (
+            f"{camera.name}: its colours differ from those of {camera.pictures.again_from} by a factor of {extreme:.2f}; "
+            "ggvs-eval check compares the exposures of all cameras."
+        )
 
 
 def _about_outliers(record: DepthRecord) -> Iterator[str]:
     """Yield the cameras whose image, made again through their depth, is far worse than is usual here."""
-    made_again = [(camera, [each.again.error for each in camera.pictures.instants if each.again]) for camera in record.cameras]
-    worst = [(camera, max(errors)) for camera, errors in made_again if errors]
+    worst = []
+    for camera in record.cameras:
+        errors = [instant.again.error for instant in camera.pictures.instants if instant.again]
+        if errors:
+            worst.append((camera, max(errors)))
     usual = float(np.median([error for _, error in worst])) if worst else 0.0
     for camera, error in worst:
         if error > max(MOST_ERROR * usual, LEAST_ERROR):

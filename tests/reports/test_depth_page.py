@@ -35,7 +35,7 @@ from ggvs_eval.reports.depth_page.section import (
     find_notes,
     find_warnings,
     render_depth_page,
-    tell,
+    summarise,
     write_depth_page,
 )
 from ggvs_eval.reports.report import write_report
@@ -201,7 +201,7 @@ def test_wrong_calibration_is_told(plane_capture, stored, tmp_path):
     warning = find_warnings(found)[0]
     assert "more than 1 px (median) in 2 of 4 pairs" in warning
     assert set(re.findall(r"(cam\d\d-cam\d\d) (?:2\.[89]|3\.[0-2]) px", warning)) == {"cam00-cam02", "cam02-cam01"}
-    assert warning in PageReader(render_depth_page(tell(found))).texts
+    assert warning in PageReader(render_depth_page(summarise(found))).texts
 
 
 def test_poor_depth_is_told(record):
@@ -246,7 +246,7 @@ def test_too_few_matches_say_nothing(record):
     assert (errors.matches, errors.row_px, len(uv)) == (0, 0.0, 0)
     unknown = replace(record, pairs=tuple(replace(pair, matches=0, row_px=0.0) for pair in record.pairs))
     assert "Of cam00-cam01, cam00-cam03, cam00-cam02, cam02-cam01 too few features match" in find_notes(unknown)[0]
-    assert "Too few matches to check the calibration" in render_depth_page(tell(unknown))
+    assert "Too few matches to check the calibration" in render_depth_page(summarise(unknown))
 
 
 def test_wrong_depth_shows_in_the_image_made_again():
@@ -302,7 +302,7 @@ def test_pairs_that_cannot_be_rectified(plane_capture, stored, tmp_path):
     assert found.pairs[0].baseline == pytest.approx(0.5)
     assert [pair.partner for pair in found.cameras[0].pictures.pairs] == ["cam03"]
     assert find_notes(found)[0].startswith("cam00-cam01 cannot be rectified: cameras cam00 and cam01 have no parallax")
-    assert find_notes(found)[0] in PageReader(render_depth_page(tell(found))).texts
+    assert find_notes(found)[0] in PageReader(render_depth_page(summarise(found))).texts
 
 
 @pytest.mark.parametrize(
@@ -354,19 +354,19 @@ def test_colours_tell_depth_and_what_has_none():
 def test_names_are_harmless(record):
     """Markup in the names of scenes and cameras is shown, not obeyed."""
     named = replace(record, scene=NASTY, cameras=tuple(replace(camera, name="cam00") for camera in record.cameras[:1]))
-    reader = PageReader(render_depth_page(tell(named)))
+    reader = PageReader(render_depth_page(summarise(named)))
     assert reader.tags.count("script") == 2  # those of every page
     assert NASTY in reader.texts
 
 
 def test_world_units_are_told_in_metres_too(record):
     """Where a metre is not a world unit, scales have both and the origin of the factor is named."""
-    text = render_depth_page(tell(replace(record, units_per_metre=10.5, units_origin="demo.json")))
+    text = render_depth_page(summarise(replace(record, units_per_metre=10.5, units_origin="demo.json")))
     assert "One metre is 10.5 world units: demo.json." in " ".join(text.split())
     low, high = record.cameras[0].pictures.depth_range
     assert f"<span>{high / 10.5:.2f} m</span>" in text
     assert f"<span>{low / 10.5:.2f} m</span>" in text
-    assert not re.search(r"\d m</span>", render_depth_page(tell(record)))
+    assert not re.search(r"\d m</span>", render_depth_page(summarise(record)))
 
 
 @pytest.mark.slow
@@ -394,7 +394,7 @@ def test_depth_without_partners_has_a_page(plane_capture, stored, tmp_path):
     assert found.cameras[0].pictures.pairs == ()
     assert found.cameras[0].pictures.instants[0].again is None
     assert find_warnings(found) == []
-    assert "Matched with no camera" in render_depth_page(tell(found))
+    assert "Matched with no camera" in render_depth_page(summarise(found))
 
 
 def test_what_cannot_be_shown(plane_capture, tmp_path):
