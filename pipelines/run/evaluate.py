@@ -17,6 +17,7 @@ from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import Failure, ResultsError
+from ggvs_eval.files.atomic import remove_leftovers
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
@@ -126,6 +127,7 @@ def report(
     if not roots:
         return write_report(roots, out, tables_of, with_figures, standalone, columns)  # which says that it takes a run
     folder = RunFolder(roots[0]).report if out is None else out
+    remove_leftovers(folder)
     inputs = {
         "code": [code_of(*section_modules()), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],

@@ -118,6 +118,8 @@ class Scores:
     def collect(self) -> Results:
         """Collect all values, when every job is done, into the results of the run folder."""
         results = _collect(self)
+        for task in self.view_tasks:
+            (task.batch / JOB_FILE).unlink(missing_ok=True)  # scores of an earlier version
         if self.device != "cpu":
             from ggvs_eval.compute_device import describe_device
 

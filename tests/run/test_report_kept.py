@@ -1,5 +1,6 @@
 """A report is kept while its runs, its code and all of its files are as they were."""
 
+import socket
 from importlib.util import find_spec
 
 import pytest
@@ -42,3 +43,18 @@ def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
     assert "openpyxl" in capsys.readouterr().err
     report([run], with_figures=False)
     assert (folder / "tables.xlsx").is_file()
+
+
+def test_what_a_killed_report_left_goes(tmp_path):
+    """A report that was killed leaves a folder; it neither stays nor makes the next one another."""
+    run = write_run(tmp_path / "run", SMALL)
+    page = report([run], with_figures=False)
+    written_ns = page.stat().st_mtime_ns
+    left = run / f".report.{socket.gethostname().replace('.', '-')}.4194304000.tmp"
+    left.mkdir()
+    (left / "index.html").touch()
+
+    report([run], with_figures=False)
+
+    assert not left.exists()
+    assert page.stat().st_mtime_ns == written_ns
