@@ -194,10 +194,6 @@ class FileTask(Result):
         """Hash of the inputs."""
         return digest_inputs(self.inputs)
 
-    def is_done(self) -> bool:
-        """Return whether each file is there as it was made from just this."""
-        return self.left() is None
-
     def left(self) -> "FileTask | None":
         """Return the task with the files that are missing; None if none are.
 

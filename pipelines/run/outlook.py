@@ -65,9 +65,7 @@ class Workload:
     def free_bytes(self) -> int:
         """Free on the disk they go to."""
         folder = self.folder.resolve()
-        while not folder.is_dir():
-            folder = folder.parent
-        return shutil.disk_usage(folder).free
+        return shutil.disk_usage(next(filter(Path.is_dir, (folder, *folder.parents)))).free
 
     def is_nothing(self) -> bool:
         """Return whether everything is done."""

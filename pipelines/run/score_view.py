@@ -132,7 +132,8 @@ def _score_view(
             scores = _score_methods(run, view, folders, there, metrics, protocol, options)
         for label, of_method in zip(labels, scores, strict=True):
             for metric in metrics:
-                yield by_label[label][metric], vars(of_method.of(metric, _parts(metric, options)))
+                parts = [part for part in METRICS[metric].pooling(options).parts if part not in METRICS]
+                yield by_label[label][metric], vars(of_method.of(metric, parts))
     unchecked = [label for label, of_label in by_label.items() if CHECKS in of_label]
     truth, numbers = frame_reader(run.truth(view)), protocol.frames.numbers
     checks = [question.of_view(view, truth, numbers) for question in QUESTIONS.built_in().values() if unchecked]
@@ -140,11 +141,6 @@ def _score_view(
         rendered, longest = frame_reader(run.renders(label, view)), max(stretches[label], key=len)
         findings = [finding for check in checks for finding in check(rendered, longest)]
         yield by_label[label][CHECKS], {"findings": [asdict(finding) for finding in findings]}
-
-
-def _parts(metric: str, options: MetricOptions) -> list[str]:
-    """Return what a metric is pooled from and no other metric gives."""
-    return [part for part in METRICS[metric].pooling(options).parts if part not in METRICS]
 
 
 def _computing(device: str) -> AbstractContextManager[None]:

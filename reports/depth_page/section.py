@@ -7,8 +7,6 @@
     FOLDER/pictures/*.jpg
 """
 
-import json
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict
@@ -23,9 +21,8 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import DepthError, ResultsError
+from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
@@ -42,6 +39,8 @@ from ggvs_eval.reports.depth_page.record import (
 from ggvs_eval.reports.page.page import fill_page
 from ggvs_eval.reports.section import Report, SectionContent
 from ggvs_eval.run_folder import read_json, write_json
+from ggvs_eval.tasks.identity import code_of
+from ggvs_eval.tasks.task import Task
 
 LEAST_MEASURED = 0.5  # of the pixels; the rest of the picture is guesswork
 LEAST_CONFIDENCE = 0.3  # below it `ggvs-eval prepare` fuses and exports nothing
@@ -50,7 +49,6 @@ MOST_OUTSIDE = 0.05  # of the matches; mismatches alone stay well below
 MOST_ERROR = 2.0  # times what is usual among the cameras ...
 LEAST_ERROR = 8.0  # ... and not less than this, of 255 levels: sensor noise and resampling
 MOST_GAIN = 1.15  # matchers mind contrast, not exposure; but a blend of the images shows it
-VERSION = 1  # counts up whenever equal depth gives another page
 FOLDER, RECORD, PICTURES = "depth_page", "index.json", "pictures"
 FLATTEST = 1.05  # far over near of the colours, so that noise on a wall does not fill them
 Statistics = tuple[DepthStatistics, ...]
@@ -69,18 +67,24 @@ def write_depth_page(
     """
     if not stored:
         raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
-    units = capture.units_per_metre, capture.units_origin
-    described = [VERSION, filled_confidence, capture.scene, *units, capture.camera_names]
-    identity = digest_values(json.dumps([described, [asdict(maps) for maps in stored]]))
-    if _is_written(folder, identity):
-        return folder / "index.html"
-    shutil.rmtree(folder, ignore_errors=True)
-    with worker_pool(min(workers, len(stored))) as pool:
-        record = examine_depth(pool, folder / PICTURES, capture, stored, store, filled_confidence)
-    files = sorted(path.name for path in (folder / PICTURES).iterdir())
-    summary = summarise(record)
-    write_text(folder / "index.html", render_depth_page(summary))
-    write_json(folder / RECORD, {"identity": identity, "files": files, **summary})
+    inputs = {
+        "code": code_of(__name__),
+        "scene": [capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names],
+        "depth": [asdict(maps) for maps in stored],
+        "filled_confidence": filled_confidence,
+    }
+
+    def write(temporary: Path) -> dict[str, Any]:
+        with worker_pool(min(workers, len(stored))) as pool:
+            record = examine_depth(pool, temporary / PICTURES, capture, stored, store, filled_confidence)
+        summary = summarise(record)
+        write_text(temporary / "index.html", render_depth_page(summary))
+        write_json(temporary / RECORD, summary)
+        return {}
+
+    task = Task("depth page", folder, inputs=inputs, make=write)
+    if not task.is_done():
+        task.run()
     return folder / "index.html"
 
 
@@ -111,16 +115,6 @@ def _sheet(summary: Mapping[str, Any], place: str, title: str, pictures: str) ->
     """What the template reads: the record, and the folder of its pictures, empty if they are elsewhere."""
     sheet = {"id": place, "title": title, "comes_first": False, "template": "depth"}
     return {**summary, **sheet, "pictures": pictures, "scales": colour_maps}
-
-
-def _is_written(folder: Path, identity: str) -> bool:
-    """Return whether the folder holds this very page with all its pictures."""
-    try:
-        record = read_json(folder / RECORD)
-    except ResultsError:
-        return False
-    files = [folder / "index.html", *(folder / PICTURES / name for name in record.get("files", ()))]
-    return record.get("identity") == identity and all(file.is_file() for file in files)
 
 
 def examine_depth(

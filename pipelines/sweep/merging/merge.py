@@ -18,7 +18,7 @@ from ggvs_eval.tasks.task import read_record
 from ggvs_eval.tasks.task_list import JOBS_FOLDER
 
 ROUNDING = 1e-6  # machines add in different orders
-NOT_MERGED = ("report", "first_frames")
+NOT_MERGED = ("report", "first_frames", "depth_page")
 
 
 def same_values(one: Any, other: Any) -> bool:
