@@ -25,8 +25,7 @@ from ggvs_eval.pipelines.commands.flags import (
 )
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.table import format_value, signed
-from ggvs_eval.reports.tables.compare_runs import Difference, differences, differences_csv, run_sides
+from ggvs_eval.reports.tables.compare_runs import Difference, cells_of, differences, differences_csv, run_sides
 
 Variants = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...", help_behavior_hint="(required)")
@@ -91,14 +90,11 @@ def calibrations(
         require_same_frames(wanted[0], first, each, capture, terms)
     for each, capture in opened.items():
         measure(plan_run(RunRequest(engine.place(out) / each.name, capture, terms, methods, depth)), engine)
-    found = {each.name: _against(out / wanted[0].name, out / each.name) for each in wanted[1:]}
-    write_text(
-        out / "calibrations.csv",
-        differences_csv(
-            {f"{method}: {name} against {wanted[0].name}": rows for name, one in found.items() for method, rows in one.items()}
-        ),
-    )
-    print(costs_text(wanted[0].name, found))
+    reference = wanted[0].name
+    found = {each.name: _against(out, reference, each.name) for each in wanted[1:]}
+    by_pair = {f"{method}: {name} against {reference}": rows for name, one in found.items() for method, rows in one.items()}
+    write_text(out / "calibrations.csv", differences_csv(by_pair, ("value", f"value of {reference}")))
+    print(costs_text(reference, found))
 
 
 def parse_variants(variants: Sequence[str], depths: Sequence[str]) -> list[Variant]:
@@ -149,9 +145,10 @@ def require_same_frames(one: Variant, first: Capture, other: Variant, second: Ca
             )
 
 
-def _against(first: Path, second: Path) -> dict[str, tuple[Difference, ...]]:
-    """Return the differences of the second run to the first, per method, second minus first."""
-    return {other.label: differences(other, one, first) for one, other in run_sides(first, second)}
+def _against(out: Path, first: str, name: str) -> dict[str, tuple[Difference, ...]]:
+    """Return the differences of a variant's run to the first one's, per method, variant minus first."""
+    pairs = run_sides(out / first, out / name)
+    return {other.label: differences(other, one, out / first, (name, first)) for one, other in pairs}
 
 
 def costs_text(first: str, found: Mapping[str, Mapping[str, Sequence[Difference]]]) -> str:
@@ -159,19 +156,9 @@ def costs_text(first: str, found: Mapping[str, Mapping[str, Sequence[Difference]
     rows = []
     for name, methods in found.items():
         for method, several in methods.items():
-            for one in several:
-                if one.view:
-                    continue
-                digits, change = one.note.decimals, one.comparison
-                interval = (
-                    ""
-                    if change.low is None or change.high is None
-                    else f"{signed(change.low, digits)} to {signed(change.high, digits)}"
-                )
-                values = (format_value(one.second, digits), format_value(one.first, digits), signed(change.difference, digits))
-                verdict = one.verdict.replace("first", name).replace("second", first)
-                rows.append(
-                    (name, method, f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric, *values, interval, verdict)
-                )
+            for row in several:
+                if not row.view:
+                    metric, _, value, reference, change, interval, _, verdict = cells_of(row)
+                    rows.append((name, method, metric, reference, value, change, interval, verdict))
     heads = {"variant": 0, "method": 0, "metric": 0, first: 0, "value": 0, f"minus {first}": 0, "95 %": 0, "verdict": 1}
     return text_table(heads, rows)

@@ -6,7 +6,7 @@ from typing import Final
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.what_if.undo import apply
-from ggvs_eval.contrib.what_if.what_if import ALL, FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
+from ggvs_eval.contrib.what_if.what_if import FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, middle_of, views_of_run
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -48,18 +48,18 @@ def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
     }
     try:
         faults = estimate(sampled, cameras_of_run(run))
-        scored = score_undone(sampled, faults, run.protocol().measurement, (METRIC,))
+        words = ", ".join(undo.words() for undo in faults[0])
+        scored = score_undone(sampled, faults, run.protocol().measurement, (METRIC,), words)
     except RenderError:
         return None  # frames that nothing can be estimated on or scored on; the fault itself is reported elsewhere
     if not scored.rows or METRIC in scored.not_computed:
         return None
     treated = {name: apply(faults[0], name, view) for name, view in views.items()}
-    words = ", ".join(undo.words() for undo in faults[0])
 
     def read(view: str, frame: int) -> Image8 | None:
         return treated[view].rendered(frame) if frame in treated[view].frames else None
 
-    return UndoneRenders(words, _sentence(scored).replace(ALL, words), read)
+    return UndoneRenders(words, _sentence(scored), read)
 
 
 def _sentence(found: WhatIf) -> str:

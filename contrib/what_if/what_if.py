@@ -118,12 +118,22 @@ def what_if(
     return score_undone(views, estimate(views, cameras), measurement, metrics)
 
 
-def score_undone(views: Mapping[str, ViewFrames], found: Estimate, measurement: Measurement, metrics: Sequence[str]) -> WhatIf:
-    """Score frames as they came and with each fault undone, on other frames than the faults were estimated on."""
+def score_undone(
+    views: Mapping[str, ViewFrames],
+    found: Estimate,
+    measurement: Measurement,
+    metrics: Sequence[str],
+    together: str = ALL,
+) -> WhatIf:
+    """Score frames as they came and with each fault undone, on other frames than the faults were estimated on.
+
+    Args:
+        together: what the row with every fault undone is called, of several.
+    """
     frames, (undos, stays, middle) = next(iter(views.values())).frames, found
     if not undos:
         return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {})
-    treatments = _treatments(undos)
+    treatments = _treatments(undos, together)
     treated = [{name: apply(one.undos, name, view, one.on_truth) for name, view in views.items()} for one in treatments]
     shared = [i for i in frames if i not in middle and all(i in view.frames for each in treated for view in each.values())]
     if not shared:
@@ -154,7 +164,7 @@ class _Treatment:
     on_truth: bool = False
 
 
-def _treatments(undos: Sequence[Undo]) -> list[_Treatment]:
+def _treatments(undos: Sequence[Undo], together: str) -> list[_Treatment]:
     """None, each fault, and all of them; where renders are interpolated also the truth instead of them."""
     listed = [_Treatment(HONEST)]
     for undo in undos:
@@ -162,9 +172,9 @@ def _treatments(undos: Sequence[Undo]) -> list[_Treatment]:
         if undo.of_truth:
             listed.append(_Treatment(f"{undo.words(on_truth=True)} ({undo.verdict})", (undo,), on_truth=True))
     if len(undos) > 1:
-        listed.append(_Treatment(ALL, tuple(undos)))
+        listed.append(_Treatment(together, tuple(undos)))
         if any(undo.of_truth for undo in undos):
-            listed.append(_Treatment(f"{ALL}, the truth resampled instead", tuple(undos), on_truth=True))
+            listed.append(_Treatment(f"{together}, the truth resampled instead", tuple(undos), on_truth=True))
     return listed
 
 

@@ -65,7 +65,7 @@ class ErrorOfMean:
         weights: (G,), sum to 1.
         scales: (G,), standard errors.
         freedom: degrees of freedom.
-        short: why the series is too short for its correlation; empty if it is not.
+        short: why the series is too short for its correlation, so that intervals are perhaps too narrow; empty if it is not.
         uncalled: why it is too short to call the sign of its mean; empty if it is not.
     """
 
@@ -94,10 +94,8 @@ class ErrorOfMean:
         scales = np.sqrt(np.maximum(np.square(posterior.scales) - variance, 0.0)) / count
         worth = float(posterior.worth)
         freedom = max(worth - 1.0, 1.0) if squares else posterior.freedom
-        short, uncalled = (
-            describe_short(len(series), worth, wanted) if worth < wanted else "" for wanted in (FEWEST_WORTH, FEWEST_CALLED)
-        )
-        return cls(posterior.weights, scales, freedom, short, uncalled)
+        short = describe_short(len(series), worth, FEWEST_WORTH, "interval perhaps too narrow")
+        return cls(posterior.weights, scales, freedom, short, describe_short(len(series), worth))
 
     def tail(self, size: float) -> float:
         """Return the probability of an error of at least this size, up or down."""
@@ -115,13 +113,14 @@ class ErrorOfMean:
         return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
 
 
-def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED) -> str:
-    """State in words why a clip is too short for a verdict.
+def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED, claim: str = "clip too short") -> str:
+    """State in words why a clip is too short for a verdict; empty if it is not.
 
     Args:
         frames: of the clip.
         worth: independent frames that would be as certain.
         wanted: as many as a verdict needs.
+        claim: what follows from it.
 
     Examples:
         >>> describe_short(23, 2.4)
@@ -129,12 +128,14 @@ def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED) -> 
         >>> describe_short(3, 3.2)
         'clip too short: it has 3 frames, of 8 independent ones needed'
     """
+    if worth >= wanted:
+        return ""
     independent = max(1, math.floor(worth))
     if independent >= frames:
-        return f"clip too short: it has {counted(frames, 'frame')}, of {wanted:g} independent ones needed"
+        return f"{claim}: it has {counted(frames, 'frame')}, of {wanted:g} independent ones needed"
     ones = "one" if independent == 1 else "ones"
     return (
-        f"clip too short: its {frames} frames are worth {independent} independent {ones}, since errors are correlated, "
+        f"{claim}: its {frames} frames are worth {independent} independent {ones}, since errors are correlated, "
         f"of {wanted:g} needed"
     )
 

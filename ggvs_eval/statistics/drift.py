@@ -52,4 +52,4 @@ def measure_drift(series: Array, level: float = LEVEL) -> Drift:
     half = ErrorOfMean(rest.weights, scales, max(worth - 2.0, 1.0)).half_width(1 - level)
     if worth >= FEWEST and abs(slope) <= CLEAR * half:
         worth = min(worth, float(correlation_posterior(series).worth))
-    return Drift(slope, half, "" if worth >= FEWEST else describe_short(len(series), worth, FEWEST))
+    return Drift(slope, half, describe_short(len(series), worth, FEWEST))

@@ -61,12 +61,11 @@ class Spread:
     @property
     def note(self) -> str:
         """Caveats in words: assumptions, and a clip that is too short; empty if there are none."""
-        narrow = self.short.replace("clip too short", "interval perhaps too narrow")
-        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", narrow)))
+        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
 
     @property
     def short(self) -> str:
-        """Reason why the clip is too short for its own correlation, where its error over time is the greatest; else empty."""
+        """Reason why the interval is perhaps too narrow, where its error over time is the greatest; else empty."""
         return self._greatest.short if self._greatest else ""
 
     @cached_property

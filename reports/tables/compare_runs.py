@@ -1,6 +1,6 @@
 """Paired comparison of two runs, or two methods of one run: differences, whether they are significant, as text and CSV."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,6 @@ from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare
 
 SIDES = ("first", "second")
 HEADS = ("metric", "view", "first", "second", "difference", "95 % interval", "p (Holm)", "verdict")
-CSV_HEAD = (
-    *("method", "metric", "unit", "view", "first", "second", "difference"),
-    *("lo", "hi", "p_value", "significant", "verdict", "given"),
-)
 
 
 @dataclass(frozen=True)
@@ -49,6 +45,7 @@ class Difference:
         second: of the second.
         comparison: first minus second, decided together with those in the other metrics, or in the other views of one metric.
         set_aside: why either may not be ranked, in words; empty if both may.
+        names: what its verdict calls the two.
     """
 
     note: MetricNote
@@ -57,6 +54,7 @@ class Difference:
     second: float
     comparison: Comparison
     set_aside: str = ""
+    names: tuple[str, str] = SIDES
 
     @property
     def metric(self) -> str:
@@ -74,7 +72,7 @@ class Difference:
         outcome = self.comparison.outcome
         if self.set_aside:
             return f"not compared: {self.set_aside}"
-        ahead = SIDES[0] if (self.comparison.difference > 0) == self.note.higher_is_better else SIDES[1]
+        ahead = self.names[(self.comparison.difference > 0) != self.note.higher_is_better]
         if self.is_significant:
             return f"{ahead} better"
         if outcome == "untested":
@@ -115,16 +113,16 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
 
 
-def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
+def differences(one: Side, other: Side, run: Path, names: tuple[str, str] = SIDES) -> tuple[Difference, ...]:
     """Return every metric that both have: over all views, and below it in each view.
 
     Args:
         other: the second.
+        names: what verdicts call the two.
     """
     parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
     both = replace(one.results, table=pd.concat(parts, ignore_index=True))
-    reasons = {side: each.results.set_aside.get(each.label) for side, each in zip(SIDES, (one, other), strict=True)}
-    set_aside = "; ".join(f"{side} {why}" for side, why in reasons.items() if why)
+    set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (one, other)])
     dataset = str(both.table["dataset"].iloc[0])
     notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
@@ -138,12 +136,15 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     for metric, comparison in decide(whole, higher_is_better=True).items():  # the verdict knows each metric's direction
         note = notes[metric]
         judgement = judge_metric(judged, note, dataset, own=own)
-        unranked = dict(zip(SIDES, map(judgement.unranked.get, labels), strict=True))
-        why = set_aside or "; ".join(f"{side} {reason}" for side, reason in unranked.items() if reason)
+        why = set_aside or _named(names, map(judgement.unranked.get, labels))
         first, second = (float(means[metric][side, ""]) for side in SIDES)
-        rows.append(Difference(note, "", first, second, _no_bolder(comparison, judgement, labels), why))
-        rows += _per_view(both, dataset, note, why)
+        rows.append(Difference(note, "", first, second, _no_bolder(comparison, judgement, labels), why, names))
+        rows += [replace(row, set_aside=why, names=names) for row in _per_view(both, dataset, note)]
     return tuple(rows)
+
+
+def _named(names: Sequence[str], reasons: Iterable[str | None]) -> str:
+    return "; ".join(f"{name} {reason}" for name, reason in zip(names, reasons, strict=True) if reason)
 
 
 def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[str]) -> Comparison:
@@ -156,7 +157,7 @@ def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[st
     return replace(comparison, corrected=corrected, outcome=outcome, short=found.short)
 
 
-def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:
+def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
     """Return the same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.protocol_values.get("views", {}).get("test", means.columns)
@@ -169,9 +170,7 @@ def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> 
     compared = {view: compare(results, note.name, *SIDES, dataset) for view, results in alone.items()}
     numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
     decided = decide(compared, note.higher_is_better)
-    return [
-        Difference(note, view, numbers[view][0], numbers[view][1], comparison, set_aside) for view, comparison in decided.items()
-    ]
+    return [Difference(note, view, numbers[view][0], numbers[view][1], comparison) for view, comparison in decided.items()]
 
 
 def what_else_differs(first: Path, second: Path) -> list[str]:
@@ -226,7 +225,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 def differences_text(differences: Sequence[Difference]) -> str:
     """Columns under each other; a line per metric, and per view where asked for; all p values after Holm's correction."""
-    rows = [HEADS, *map(_line, differences)]
+    rows = [HEADS, *map(cells_of, differences)]
     widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     given: dict[str, list[str]] = {}
@@ -239,17 +238,24 @@ def differences_text(differences: Sequence[Difference]) -> str:
     )
 
 
-def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
-    """Return one line per pair of methods, metric and view, numbers unrounded."""
+def differences_csv(differences: Mapping[str, Sequence[Difference]], sides: Sequence[str] = SIDES) -> str:
+    """Return one line per pair of methods, metric and view, numbers unrounded.
+
+    Args:
+        sides: heads of the columns of the two numbers.
+    """
+    head = ["method", "metric", "unit", "view", *sides, "difference"]
+    head += ["lo", "hi", "p_value", "significant", "verdict", "given"]
     rows: list[list[object]] = []
-    for name, one in ((name, one) for name, several in differences.items() for one in several):
-        bounds = [
-            "" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.comparison.corrected)
-        ]
-        numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
-        head = [name, one.metric, one.note.unit, one.view]
-        rows.append([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
-    return csv_text(CSV_HEAD, rows)
+    for name, several in differences.items():
+        for row in several:
+            comparison = row.comparison
+            bounds = (comparison.low, comparison.high, comparison.corrected)
+            numbers = [repr(value) for value in (row.first, row.second, comparison.difference)]
+            numbers += ["" if value is None else repr(value) for value in bounds]
+            words = [row.is_significant, row.verdict, comparison.note]
+            rows.append([name, row.metric, row.note.unit, row.view, *numbers, *words])
+    return csv_text(head, rows)
 
 
 def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:
@@ -272,7 +278,8 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
     return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
 
 
-def _line(one: Difference) -> tuple[str, ...]:
+def cells_of(one: Difference) -> tuple[str, ...]:
+    """Return what the columns `HEADS` say."""
     low, high = one.comparison.low, one.comparison.high
     shown = [format_value(value, one.note.decimals) for value in (one.first, one.second)]
     digits = one.note.decimals

@@ -1,6 +1,7 @@
 """One capture under several calibrations or depths: planted errors cost what they cost, and unlike frames are refused."""
 
 import csv
+import re
 import shutil
 
 import numpy as np
@@ -37,17 +38,21 @@ def rooms(tmp_path_factory):
 
 @pytest.mark.slow
 def test_planted_errors_of_depth_cost_quality(rooms, monkeypatch, capsys):
-    """A scale 5 % off costs some, lengths of rays taken as z cost more, each against the exact depth of the first variant."""
+    """A scale 5 % off costs some, lengths of rays more, each against the first variant's exact depth; verdicts name variants."""
     monkeypatch.chdir(rooms)
-    run_command([*COMMAND, "--depths", "given=exact", "scaled=scaled", "rays=rays", *TERMS])
+    run_command(["calibrations", "out", "first=room", "--depths", "first=exact", "second=scaled", "rays=rays", *TERMS])
 
     printed = capsys.readouterr().out
     with (rooms / "out" / "calibrations.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     costs = {row["method"].rpartition(": ")[2].split()[0]: float(row["difference"]) for row in rows if not row["view"]}
-    assert costs["rays"] < costs["scaled"] < -0.03, costs
-    assert "minus given" in printed
-    assert all(name in printed for name in ("scaled", "rays", "PSNR (dB)"))
+    assert costs["rays"] < costs["second"] < -0.03, costs
+    assert "minus first" in printed
+    assert all(name in printed for name in ("rays", "PSNR (dB)"))
+    assert re.search(r"^ second .* first (?:better|ahead)", printed, re.MULTILINE)
+    for row in rows:
+        assert row["verdict"].startswith("first ")
+        assert float(row["value"]) - float(row["value of first"]) == pytest.approx(float(row["difference"]))
 
 
 def test_other_pictures_are_refused_before_anything_is_rendered(rooms, tmp_path, monkeypatch):
