@@ -200,10 +200,8 @@ def _with_neighbour(one: CheckedCell, checked: Sequence[CheckedCell], runs: Runs
     if one.measured is None or better is None:
         return one
     sign, number = 1.0 if better else -1.0, printed(cell.text)[0]
-    column = [
-        each for each in checked if each.quoted.column == cell.column and each.measured is not None and each.label != one.label
-    ]
-    worse = [each for each in column if sign * printed(each.quoted.text)[0] <= sign * number]
+    rivals = [row for row in checked if row.quoted.heads == cell.heads and row.measured is not None and row.label != one.label]
+    worse = [each for each in rivals if sign * printed(each.quoted.text)[0] <= sign * number]
     if not worse:
         return one
     nearest = max(worse, key=lambda each: sign * printed(each.quoted.text)[0])

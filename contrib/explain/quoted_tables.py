@@ -57,6 +57,11 @@ class QuotedCell:
     row: int
     column: int
 
+    @property
+    def heads(self) -> tuple[int, str, str]:
+        """What it is compared under: a column of a long table, or one below several scenes, holds numbers of many kinds."""
+        return self.column, self.metric, self.scene
+
 
 @dataclass(frozen=True)
 class QuotedTable:

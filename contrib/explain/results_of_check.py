@@ -63,8 +63,8 @@ def write_check(folder: Path, file: Path, checked: Sequence[CheckedCell], runs: 
     tested = len(checked) - counts["not checked"]
     matched = sum(counts[name] for name in MATCHED)
     badge = {"matched": matched, "tested": tested, "is_whole": matched == tested, "is_bad": bool(counts["not reproduced"])}
-    places = {(one.quoted.row, one.quoted.column): one for one in checked}
-    columns = {one.quoted.column: " ".join(filter(None, (one.quoted.scene, one.quoted.metric))) for one in checked}
+    places = {(one.quoted.row, one.quoted.heads): one for one in checked}
+    columns = {one.quoted.heads: " ".join(filter(None, (one.quoted.scene, one.quoted.metric))) for one in checked}
     rows = {one.quoted.row: one.quoted.method for one in checked}
     page = made.get_template("table_check.html.j2").render(
         name=file.name, summary=summary(checked), verdicts=VERDICTS, counts=counts, columns=columns, rows=rows, places=places,

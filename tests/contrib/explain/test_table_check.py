@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -196,6 +197,46 @@ def test_equal_methods_are_not_distinguished(run):
     same = [cells[0], QuotedCell("twin", "", "PSNR", cells[0].text, 1, 0)]
     (one, other) = check_cells(same, Runs([read_scores(run)], {"twin": LABELS[0]}))
     assert one.neighbour == other.neighbour == ""  # a method has no difference to itself
+
+
+class EqualRuns(Runs):
+    """Runs that measured 1 everywhere and distinguish nothing."""
+
+    def __init__(self):
+        pass
+
+    def label(self, method):
+        return method
+
+    def of_scene(self, scene):
+        return (SimpleNamespace(protocol=SimpleNamespace(sha256="")),)
+
+    def value(self, metric, label, scene):
+        return SimpleNamespace(value=1.0, low=None, high=None)
+
+    def conventions(self, metric, label, scene):
+        return {}
+
+    def outcome(self, metric, scene, label, other):
+        return "equal"
+
+
+def test_neighbours_are_of_one_metric_and_scene(tmp_path):
+    """A long table has all numbers in one column, and the page a head for each metric and scene."""
+    lines = ["A,fern,PSNR,30", "A,fern,SSIM,.9", "B,fern,PSNR,20", "B,fern,SSIM,.8", "B,room,PSNR,25", "C,room,PSNR,15"]
+    (tmp_path / "long.csv").write_text("\n".join(["method,scene,metric,value", *lines]), encoding="utf-8")
+
+    found = check_cells(read_quoted(tmp_path / "long.csv").cells, EqualRuns())
+    write_check(tmp_path, tmp_path / "long.csv", found, [])
+
+    neighbours = {(one.label, one.quoted.scene, one.quoted.metric): one.neighbour for one in found if one.neighbour}
+    assert neighbours == {
+        ("A", "fern", "PSNR"): "not distinguished from B (equal)",
+        ("A", "fern", "SSIM"): "not distinguished from B (equal)",
+        ("B", "room", "PSNR"): "not distinguished from C (equal)",
+    }
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert all(f'<th scope="col">{head}</th>' in page for head in ("fern PSNR", "fern SSIM", "room PSNR"))
 
 
 @pytest.mark.slow
