@@ -143,6 +143,8 @@ class Task(Result):
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (temporary / name).replace(self.folder / name)
             return
+        if self.is_done():  # by another process, and perhaps in use
+            return
         shutil.rmtree(self.folder, ignore_errors=True)
         try:
             temporary.replace(self.folder)
@@ -225,7 +227,7 @@ class FileTask(Result):
                 return
             suffixes = {Path(name).suffix for name in self.files}
             for file in self.folder.iterdir():
-                if file.suffix in suffixes and not file.name.startswith("."):
+                if file.suffix in suffixes:
                     file.unlink()
             self._write({})
 

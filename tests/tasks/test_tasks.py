@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,23 @@ def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
     assert "cam00 is gone" in str(reasons[0])
     assert reasons[1] is None
     assert ledger.failure(mended.made) is None
+
+
+def test_what_another_process_has_made_meanwhile_stays(tmp_path):
+    """Two processes do the same: the result of the first may be in use when the second is ready, and is not replaced."""
+    task, made = number_job(tmp_path, 1), tmp_path / "n1" / "number.txt"
+    inodes = []
+
+    def while_the_other_is_faster(folder: Path) -> dict:
+        elsewhere = replace(task, folder=tmp_path / "other")
+        elsewhere.run()
+        elsewhere.folder.rename(task.folder)
+        inodes.append(made.stat().st_ino)
+        return write_number(1, folder)
+
+    replace(task, make=while_the_other_is_faster).run()
+
+    assert [made.stat().st_ino] == inodes
 
 
 def test_what_another_process_works_on_is_left_alone(tmp_path):
