@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from ggvs_eval.capture import Capture
 from ggvs_eval.errors import CaptureError, CommandError, no_such_path
 from ggvs_eval.pipelines.commands import calibrate, captures, check, runs
 from ggvs_eval.pipelines.commands.calibrate import Calibrating
@@ -24,12 +25,14 @@ from ggvs_eval.pipelines.commands.flags import (
     changed_flags,
 )
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
+from ggvs_eval.run_folder import read_json, write_json
 
 Videos = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEOS|CAPTURE")]
 # Of raw videos of one make. `calibrate` assumes less; with own pinhole lenses the rig of docs/your_rig.md fails its check.
 RAW_VIDEOS = CalibrationOptions(camera_model="SIMPLE_RADIAL", shared_intrinsics=True)
 CALIBRATED = "calibration.json"  # in a capture that `calibrate` has written whole
 VERDICTS = "check.json"
+FRAMES = "frames.json"  # camera -> digest of the frames that all is made from
 
 
 def evaluate(
@@ -66,13 +69,15 @@ def evaluate(
     from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
 
     shown = _Steps()
-    needs_poses = reading.layout is None and open_uncalibrated(videos) is not None
-    capture = out / "capture" if needs_poses else videos
-    if capture != videos and not (capture / CALIBRATED).is_file():
-        shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
-        calibrate.calibrate(videos, capture, calibration)
-    elif capture != videos and (lenses := changed_flags(calibration, RAW_VIDEOS)):
-        print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
+    uncalibrated = open_uncalibrated(videos) if reading.layout is None else None
+    capture = out / "capture" if uncalibrated else videos
+    if uncalibrated:
+        _require_same(out, uncalibrated)
+        if not (capture / CALIBRATED).is_file():
+            shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
+            calibrate.calibrate(videos, capture, calibration)
+        elif lenses := changed_flags(calibration, RAW_VIDEOS):
+            print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
     flags = changed_flags(reading, CAPTURE_DEFAULTS)
     opened = [*_flag("--layout", reading.layout), *_flag("--units", reading.units)]  # what `check` takes of them
     verdicts, terms = out / VERDICTS, out / "protocol.toml"
@@ -97,6 +102,14 @@ def evaluate(
     flags += [*changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
     shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
     runs.run(out / "run", capture, str(terms), methods, device=device, reading=reading, depth=depth, engine=engine)
+
+
+def _require_same(out: Path, videos: Capture) -> None:
+    """Refuse a folder that holds the evaluation of other videos; one of an earlier version does not say of which."""
+    record, digests = out / FRAMES, {name: videos.digest(name) for name in videos.camera_names}
+    if record.is_file() and read_json(record) != digests:
+        raise CaptureError(f"{out}: holds the evaluation of other frames than {videos.path} has; choose another OUT")
+    write_json(record, digests)
 
 
 class _Steps:

@@ -102,9 +102,8 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
 
 def frame_tasks(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> list[FileTask]:
     """Return what writes the frames of each camera; arguments as of `cache_frames`."""
-    tasks = []
-    for name, frames in numbers.items():
-        task = _pictures(
+    return [
+        _pictures(
             name=f"frames of {name}",
             folder=root / name,
             source=capture.source(name),
@@ -113,8 +112,8 @@ def frame_tasks(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Pa
             numbers=frames,
             make=partial(_write_frames, capture, name, root / name),
         )
-        tasks.append(task)
-    return tasks
+        for name, frames in numbers.items()
+    ]
 
 
 def path_task(images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path) -> FileTask:

@@ -37,19 +37,17 @@ def tasks(plan: RunPlan) -> list[FileTask]:
     if not any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         return []
     made_with = {"units_per_metre": plan.capture.units_per_metre, "code": code_of(__name__)}
-    masks = []
-    for view, sources in plan.plans.items():
-        folder = plan.run.disoccluded(view)
-        task = FileTask(
+    return [
+        FileTask(
             name=f"areas of {view} without a source camera",
-            folder=folder,
+            folder=plan.run.disoccluded(view),
             inputs=seen_from(sources.target, sources.depth_keys) | made_with,
             files=frame_names(plan.frames),
-            make=partial(_write, plan.capture, sources, DepthStore(plan.run.depth), folder),
+            make=partial(_write, plan.capture, sources, DepthStore(plan.run.depth), plan.run.disoccluded(view)),
             kind="mask",
         )
-        masks.append(task)
-    return masks
+        for view, sources in plan.plans.items()
+    ]
 
 
 def prepare(plan: RunPlan, workers: Workers) -> None:

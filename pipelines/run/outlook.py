@@ -67,13 +67,9 @@ class Workload:
         folder = self.folder.resolve()
         return shutil.disk_usage(next(filter(Path.is_dir, (folder, *folder.parents)))).free
 
-    def is_nothing(self) -> bool:
-        """Return whether everything is done."""
-        return not self.left
-
     def describe(self) -> str:
         """Return a few lines; none if everything is done."""
-        if self.is_nothing():
+        if not self.left:
             return ""
         parts = [
             f"{self.count(*RENDERS)} frames to render",

@@ -151,7 +151,7 @@ def evaluate_demos(
         measure(each, workers)
         shutil.rmtree(first_root(each.run.root), ignore_errors=True)
         roots = [*dict.fromkeys([*roots, each.run.root])]
-        has_grown |= not left.is_nothing()
+        has_grown |= bool(left.left)
     if not failures:
         drop_found_depth(plans)
     page = report(roots, tables_of=tables, jobs=as_engine(workers).jobs)

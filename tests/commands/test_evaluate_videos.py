@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.errors import CaptureError, CommandError
+from ggvs_eval.files.video import write_video
+from ggvs_eval.pipelines.commands.evaluate import evaluate
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
+from helpers.refusals import refused
 
 pytestmark = [pytest.mark.usefixtures("no_figures")]
 FAST = ("--methods", "no-blending", "--frames", "2", "--jobs", "1")
@@ -55,6 +59,31 @@ def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
     for words in [["protocol", out / "capture", tmp_path / "again.toml", "--check", out / "check.json", "--frames", "2"]]:
         call(*words)  # what was said does the same
     assert (tmp_path / "again.toml").read_text() == (out / "protocol.toml").read_text()
+
+
+def test_another_rig_in_the_folder_of_one_is_refused(tmp_path, monkeypatch):
+    """Other videos, or the same names recorded again, are never shown with the poses and the numbers of the first."""
+    calibrated = []
+
+    def write_capture(videos: Path, capture: Path, _options: object) -> None:
+        calibrated.append(videos)
+        capture.mkdir()
+        (capture / "calibration.json").write_text("{}")
+
+    monkeypatch.setattr("ggvs_eval.pipelines.commands.evaluate.calibrate.calibrate", write_capture)
+    for rig, level in (("first", 50), ("second", 90)):
+        for name in ("cam00", "cam01", "cam02"):
+            frames = np.full((3, 32, 48, 3), level, np.uint8)
+            write_video(tmp_path / rig / f"{name}.mp4", frames, 30)
+    for _ in range(2):
+        with refused(CommandError, "capture: stopped"):
+            evaluate(tmp_path / "first", tmp_path / "out")
+    with refused(CaptureError, "other frames than", "second has; choose another OUT"):
+        evaluate(tmp_path / "second", tmp_path / "out")
+    shutil.copy(tmp_path / "second" / "cam01.mp4", tmp_path / "first" / "cam01.mp4")
+    with refused(CaptureError, "other frames than"):
+        evaluate(tmp_path / "first", tmp_path / "out")
+    assert calibrated == [tmp_path / "first"]
 
 
 def test_a_bad_capture_stops_with_its_verdict(dynerf, tmp_path, capsys):

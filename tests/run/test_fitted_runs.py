@@ -207,7 +207,7 @@ def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
     shutil.copytree(finished.run.root, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "fits")
     request = replace(finished.request, root=tmp_path / "run")
-    assert count_work([plan_run(request)], tmp_path).is_nothing()
+    assert not count_work([plan_run(request)], tmp_path).left
     assert render(prepare_run(plan_run(request))) == 0
     shutil.rmtree(tmp_path / "run" / "renders" / LABEL / "cam03")
     assert render(prepare_run(plan_run(request))) == 1
