@@ -102,12 +102,11 @@ class Runs:
         return self._value(metric, scene).get(label)
 
     def conventions(self, metric: str, label: str, scene: str) -> dict[str, float]:
-        """Return the value under every known convention: means over the runs of the scene.
-
-        Raises:
-            GgvsError: frames that are gone, or a metric of which no conventions are known.
-        """
-        return self._conventions(metric, label, scene)
+        """Return the value under every known convention, means over the runs of the scene; none if they cannot be computed."""
+        try:
+            return self._conventions(metric, label, scene)
+        except GgvsError:  # frames that are gone, or a metric with one convention
+            return {}
 
     def outcome(self, metric: str, scene: str, label: str, other: str) -> str:
         """Return how the runs of a scene decide between two methods, in words; empty if the first is better or worse."""
@@ -123,7 +122,7 @@ class Runs:
             return {}
         results = merge_results([run.results for run in runs])
         rows = [row for table in main_tables(runs, results, [metric]) for row in table.rows if row.label]
-        return {row.label: row.cells[0] for row in rows if row.cells[0].value is not None}
+        return {row.label: row.cells[0] for row in rows}
 
     def _recompute(self, metric: str, label: str, scene: str) -> dict[str, float]:
         family = metric_family(metric.replace("_", "-"))
@@ -174,21 +173,25 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
     if own is None or own.value is None:
         reason = f"{cell.metric} was not measured; add it to the protocol"
         return CheckedCell(cell, "not checked", label, reason=reason)
-    number = printed(cell.text)[0]
-    if abs(own.value - number) <= tolerance(cell.text, own.value):
-        return CheckedCell(cell, "reproduced", label, own.value, by_chance=chance(cell.text, [own.value]))
-    off = f"off by {number - own.value:+.3g}"
-    if own.low is not None and own.high is not None and own.low <= number <= own.high:
-        return CheckedCell(cell, "undecided", label, own.value, f"{off}, within the interval {own.low:.4g} to {own.high:.4g}")
-    return CheckedCell(cell, "not reproduced", label, own.value, off)
+    number, value, under = printed(cell.text)[0], own.value, ""
+    if not runs.of_scene(cell.scene)[0].protocol.measurement.lpips_net.startswith(cell.network):
+        values = runs.conventions(cell.metric, label, cell.scene)
+        under = next((name for name in values if name.lower().startswith(cell.network)), "")
+        if not under:
+            return CheckedCell(cell, "not checked", label, reason=f"its head names {cell.network}, which gave no value")
+        value = values[under]
+    if abs(value - number) <= tolerance(cell.text, value):
+        verdict: Verdict = "other convention" if under else "reproduced"
+        return CheckedCell(cell, verdict, label, value, under, chance(cell.text, [value]))
+    off = f"off by {number - value:+.3g}{under and f' under {under}'}"
+    if not under and own.low is not None and own.high is not None and own.low <= number <= own.high:
+        return CheckedCell(cell, "undecided", label, value, f"{off}, within the interval {own.low:.4g} to {own.high:.4g}")
+    return CheckedCell(cell, "not reproduced", label, value, off)
 
 
 def _matching(cell: QuotedCell, runs: Runs) -> tuple[list[str], float]:
     """Return the conventions that give a cell's digits, and the probability that one of all would by chance."""
-    try:
-        values = runs.conventions(cell.metric, runs.label(cell.method), cell.scene)
-    except GgvsError:  # frames that are gone, or a metric with one convention: nothing else explains the number
-        return [], 0.0
+    values = runs.conventions(cell.metric, runs.label(cell.method), cell.scene)
     number = printed(cell.text)[0]
     names = [name for name, value in values.items() if abs(value - number) <= tolerance(cell.text, value)]
     return names, chance(cell.text, [value for value in values.values() if math.isfinite(value)])
@@ -199,12 +202,15 @@ def _with_neighbour(one: CheckedCell, checked: Sequence[CheckedCell], runs: Runs
     cell, better = one.quoted, METRICS[one.quoted.metric].higher_is_better
     if one.measured is None or better is None:
         return one
-    sign, number = 1.0 if better else -1.0, printed(cell.text)[0]
+
+    def standing(row: CheckedCell) -> float:
+        return printed(row.quoted.text)[0] * (1 if better else -1)
+
     rivals = [row for row in checked if row.quoted.heads == cell.heads and row.measured is not None and row.label != one.label]
-    worse = [each for each in rivals if sign * printed(each.quoted.text)[0] <= sign * number]
+    worse = [row for row in rivals if standing(row) <= standing(one)]
     if not worse:
         return one
-    nearest = max(worse, key=lambda each: sign * printed(each.quoted.text)[0])
+    nearest = max(worse, key=standing)
     outcome = runs.outcome(cell.metric, cell.scene, one.label, nearest.label)
     return replace(one, neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "")
 

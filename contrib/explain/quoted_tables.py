@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -17,7 +17,17 @@ SCENES, METHODS = ("scene", "dataset", "data set", "sequence", "capture"), ("met
 METRIC, VALUE = ("metric", "column"), ("shown", "value", "score")
 MEANS = ("mean", "avg", "average", "all", "overall")
 ALIASES = {"sssim": "SSIM", "dssim": "DSSIM1", "msssim": "MS_SSIM", "strred": "STED", "ivpsnr": "IV_PSNR"}
-SCALE = re.compile(r"(?:×|x|\*|·|times)\s*10\s*\^?\s*[{(]?\s*(?P<power>-?\d)\b|(?:×|x|\*)\s*(?P<factor>10+)\b", re.IGNORECASE)
+# x 10^2, [1e-2], (x100), 100 x: what multiplied the numbers, or what they are to be multiplied by; 100 x 100 is a size.
+SCALE = re.compile(
+    r"(?:(?:×|x|\*|·|times)\s*1(?:0\s*\^?|e)|\b1(?:0\s*\^|e))[\s{(]*[-−+]?\s*0*(?P<power>[1-9])\b"
+    r"|(?:(?<!\d)(?<!\d )(?:×|x|\*)\s*1|\b1(?=0+\s*(?:×|x|\*)(?!\s*\d)))(?P<zeros>0+)(?:\s*[×x*]|\b)",
+    re.IGNORECASE,
+)
+NETWORK = re.compile(r"lpips.*?(?<![a-z])(alex|vgg)(?:net)?(?![a-z])", re.IGNORECASE)
+# What a head says beside its metric; SqueezeNet's LPIPS is none of this tool.
+BESIDE = re.compile(
+    r"\((?!squeeze).*?\)|\[(?!squeeze).*?\]|[↑↓%]|×.*|(?<=lpips)[\W_]*(?:alex|vgg)(?:net|-?\d+)?(?![a-z])", re.IGNORECASE
+)
 ARGUMENT = r"(?:\[[^\]]*\])?\{[^{}]*\}"
 TABULAR = re.compile(r"\\begin\{(tabular[x*y]?|tblr|array)\}(.*?)\\end\{\1\}", re.DOTALL)
 RULES = re.compile(
@@ -48,6 +58,7 @@ class QuotedCell:
         text: number as printed, on the metric's own scale (a column in per cent is divided by 100).
         row: index of its row among those with numbers.
         column: index of its column in the file.
+        title: what stands above it, or in its row as its metric.
     """
 
     method: str
@@ -56,6 +67,12 @@ class QuotedCell:
     text: str
     row: int
     column: int
+    title: str = ""
+
+    @property
+    def network(self) -> str:
+        """Network that its head names: ``alex`` or ``vgg``; empty if none."""
+        return "".join(NETWORK.findall(self.title)[:1]).lower()
 
     @property
     def heads(self) -> tuple[int, str, str]:
@@ -101,9 +118,10 @@ def read_quoted(file: Path, metric: str = "") -> QuotedTable:
     cells: list[QuotedCell] = []
     left_out: dict[str, str] = {}
     for grid in readers[file.suffix.lower()](text):
-        found = list(_cells(grid, metric_key(metric), left_out))
         rows = 1 + max((cell.row for cell in cells), default=-1)
-        cells += [QuotedCell(c.method, c.scene, c.metric, c.text, c.row + rows, c.column) for c in found]
+        for cell in _cells(grid, metric_key(metric), left_out):
+            scene = "" if cell.scene.lower().rstrip(".") in MEANS else cell.scene
+            cells.append(replace(cell, scene=scene, row=cell.row + rows))
     if not cells:
         ignored = f" (columns {', '.join(left_out)})" if left_out else ""
         raise ResultsError(
@@ -117,10 +135,10 @@ def metric_key(head: str) -> str:
     """Return the metric that a column's head names; empty if it names none.
 
     Examples:
-        >>> metric_key("PSNR (dB) ↑"), metric_key("ms-ssim"), metric_key("FPS")
-        ('PSNR', 'MS_SSIM', '')
+        >>> metric_key("PSNR (dB) ↑"), metric_key("ms-ssim"), metric_key("LPIPS-Alex x100"), metric_key("FPS")
+        ('PSNR', 'MS_SSIM', 'LPIPS', '')
     """
-    name = re.sub(r"\(.*?\)|\[.*?\]|[↑↓%]|×.*", " ", head)
+    name = BESIDE.sub(" ", SCALE.sub(" ", head))
     plain = {re.sub(r"\W|_", "", key).lower(): key for key in METRICS} | ALIASES
     return plain.get(re.sub(r"\W|_", "", name).lower(), "")
 
@@ -164,7 +182,7 @@ def _cells(grid: Grid, metric: str, left_out: dict[str, str]) -> Iterator[Quoted
     """Find heads, names and numbers of one table; columns without a metric are noted in `left_out`."""
     width = max(map(len, grid))
     grid = [row + [""] * (width - len(row)) for row in grid]
-    first = next((at for at, row in enumerate(grid) if sum(_is_number(cell) for cell in row) > 0), len(grid))
+    first = next((at for at, row in enumerate(grid) if any(map(_is_number, row))), len(grid))
     heads, body = grid[:first], grid[first:]
     lowest = [cell.lower() for cell in heads[-1]] if heads else [""] * width
     if _column(lowest, METRIC) >= 0 and _column(lowest, VALUE) >= 0:
@@ -177,7 +195,7 @@ def _cells(grid: Grid, metric: str, left_out: dict[str, str]) -> Iterator[Quoted
     index = 0
     for row in body:
         names = [row[at] or name if at >= 0 else "" for at, name in zip((method_at, scene_at), names, strict=True)]
-        if not any(_is_number(cell) for cell in row):
+        if not any(map(_is_number, row)):
             continue
         for at in range(width):
             if at in words or not _is_number(row[at]):
@@ -188,27 +206,20 @@ def _cells(grid: Grid, metric: str, left_out: dict[str, str]) -> Iterator[Quoted
             if not named:
                 left_out[title or f"column {at + 1}"] = "names no metric of this tool"
                 continue
-            places = [head for head in stack if head and not metric_key(head)] + [names[1]]
-            scene = next((place for place in places if place), "")
-            text = _on_own_scale(_number(row[at]), title)
-            yield QuotedCell(names[0], "" if scene.lower().rstrip(".") in MEANS else scene, named, text, index, at)
+            scene = next((head for head in stack if head and not metric_key(head)), names[1])
+            yield QuotedCell(names[0], scene, named, _on_own_scale(row[at], title), index, at, title)
         index += 1
 
 
 def _long_cells(body: Grid, heads: Sequence[str], left_out: dict[str, str]) -> Iterator[QuotedCell]:
-    at = {
-        name: _column(heads, words)
-        for name, words in (("method", METHODS), ("scene", SCENES), ("metric", METRIC), ("value", VALUE))
-    }
+    places = [_column(heads, words) for words in (METHODS, SCENES, METRIC, VALUE)]
     for index, row in enumerate(body):
-        key = metric_key(row[at["metric"]])
+        method, scene, title, value = (row[at] if at >= 0 else "" for at in places)
+        key = metric_key(title)
         if not key:
-            left_out[row[at["metric"]]] = "names no metric of this tool"
-        elif _is_number(row[at["value"]]):
-            scene = row[at["scene"]] if at["scene"] >= 0 else ""
-            method = row[at["method"]] if at["method"] >= 0 else ""
-            place = "" if scene.lower() in MEANS else scene
-            yield QuotedCell(method, place, key, _number(row[at["value"]]), index, at["value"])
+            left_out[title] = "names no metric of this tool"
+        elif _is_number(value):
+            yield QuotedCell(method, scene, key, _on_own_scale(value, title), index, places[-1], title)
 
 
 def _column(heads: Sequence[str], names: Sequence[str]) -> int:
@@ -217,22 +228,19 @@ def _column(heads: Sequence[str], names: Sequence[str]) -> int:
 
 def _is_number(text: str) -> bool:
     """True for a cell that is a number, perhaps with a mark, a spread or a unit behind it; not for a name with digits."""
-    return NUMBER.match(text.strip()) is not None and not re.match(r"[-+]?[\d.,]+\s*[A-Za-z]{3,}", text.strip())
+    return NUMBER.match(text.strip()) is not None and not re.match(r"[-+]?[\d.,]+\s*(?:[×x*]\s*)?[A-Za-z]{3,}", text.strip())
 
 
-def _number(text: str) -> str:
-    found = NUMBER.match(text.strip())
-    assert found is not None
-    return found[0].replace(",", ".")
-
-
-def _on_own_scale(text: str, head: str) -> str:
-    """Return a printed number divided by the power of ten that its head names, with all its digits.
+def _on_own_scale(cell: str, head: str) -> str:
+    """Return a printed number divided by the power of ten that its head or its cell names, with all its digits.
 
     Examples:
-        >>> _on_own_scale("93.6", "SSIM (%)"), _on_own_scale("8.45", "LPIPS ×10^2"), _on_own_scale("8", "L1")
+        >>> _on_own_scale("93.6", "SSIM (%)"), _on_own_scale("8.45", "LPIPS [1e-2]"), _on_own_scale("8", "L1")
         ('0.936', '0.0845', '8')
+        >>> _on_own_scale("93.6", "SSIM (x100)"), _on_own_scale("93.6", "100 x SSIM"), _on_own_scale("93.6%", "SSIM")
+        ('0.936', '0.936', '0.936')
     """
-    found = SCALE.search(head)
-    power = int(found["power"]) if found and found["power"] else len(found["factor"]) - 1 if found else 2 * ("%" in head)
+    text, words = NUMBER.findall(cell)[0].replace(",", "."), f"{head} {cell}"
+    found = SCALE.search(words)
+    power = int(found["power"] or len(found["zeros"])) if found else 2 * ("%" in words)
     return f"{Decimal(text).scaleb(-power):f}" if power else text

@@ -209,13 +209,14 @@ class EqualRuns(Runs):
         return method
 
     def of_scene(self, scene):
-        return (SimpleNamespace(protocol=SimpleNamespace(sha256="")),)
+        measurement = SimpleNamespace(lpips_net="vgg")
+        return (SimpleNamespace(protocol=SimpleNamespace(sha256="", measurement=measurement)),)
 
     def value(self, metric, label, scene):
         return SimpleNamespace(value=1.0, low=None, high=None)
 
     def conventions(self, metric, label, scene):
-        return {}
+        return {"VGG, inputs in [-1, 1]": 1.0, "AlexNet, inputs in [-1, 1]": 0.5, "AlexNet, inputs in [0, 1]": 0.4}
 
     def outcome(self, metric, scene, label, other):
         return "equal"
@@ -237,6 +238,39 @@ def test_neighbours_are_of_one_metric_and_scene(tmp_path):
     }
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert all(f'<th scope="col">{head}</th>' in page for head in ("fern PSNR", "fern SSIM", "room PSNR"))
+
+
+@pytest.mark.parametrize(
+    "head", ["SSIM (x100)", "SSIM x100", "100 x SSIM", "SSIM (x 10^2)", "SSIM (x10^-2)", "SSIM [1e-2]", "SSIM ×100", "SSIM (%)"]
+)
+def test_the_scale_of_a_head_is_read(head, tmp_path):
+    """In wide and long tables, whether it says what numbers were multiplied by or are to be; a cell's own per cent too."""
+    assert read(tmp_path, "wide.csv", f"method,{head}\nA,77.4\n") == [("A", "", "SSIM", "0.774")]
+    assert read(tmp_path, "long.csv", f"method,metric,value\nA,{head},77.4\n") == [("A", "", "SSIM", "0.774")]
+    assert read(tmp_path, "cell.csv", "method,SSIM (100 x 100)\nA,77.4%\n") == [("A", "", "SSIM", "0.774")]
+
+
+@pytest.mark.parametrize("head", ["LPIPS (Alex)", "LPIPS-AlexNet", "LPIPS_alex (x10)"])
+@pytest.mark.parametrize(
+    ("number", "verdict", "reason"),
+    [
+        (0.5, "other convention", "AlexNet, inputs in [-1, 1]"),
+        (0.7, "not reproduced", "off by +0.2 under AlexNet, inputs in [-1, 1]"),
+    ],
+)
+def test_the_network_of_a_head_is_read_first(head, number, verdict, reason, tmp_path):
+    """A number is compared with the value that its head names, not with that of the protocol's network."""
+    printed = 10 * number if "x10" in head else number
+    (tmp_path / "a.csv").write_text(f"method,{head},LPIPS (VGG16)\nA,{printed},1.0\n", encoding="utf-8")
+    one, usual = check_cells(read_quoted(tmp_path / "a.csv").cells, EqualRuns())
+    assert (one.verdict, one.reason.partition(";")[0]) == (verdict, reason)
+    assert (usual.verdict, usual.reason) == ("reproduced", "")
+
+
+def test_a_network_that_is_not_known_is_left_out(tmp_path):
+    """No value of another one is taken for it."""
+    (tmp_path / "a.csv").write_text("method,LPIPS (Squeeze),PSNR\nA,.1,30\n", encoding="utf-8")
+    assert list(read_quoted(tmp_path / "a.csv").left_out) == ["LPIPS (Squeeze)"]
 
 
 @pytest.mark.slow
