@@ -170,9 +170,8 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
         reason = "a mean over runs of several protocols" if hashes else f"no run of the scene {cell.scene!r}"
         return CheckedCell(cell, "not checked", label, reason=reason)
     own = runs.value(cell.metric, label, cell.scene)
-    if own is None or own.value is None:
-        reason = f"{cell.metric} was not measured; add it to the protocol"
-        return CheckedCell(cell, "not checked", label, reason=reason)
+    if not own or own.value is None:
+        return CheckedCell(cell, "not checked", label, reason=f"{cell.metric} was not measured; add it to the protocol")
     number, value, under = printed(cell.text)[0], own.value, ""
     if not runs.of_scene(cell.scene)[0].protocol.measurement.lpips_net.startswith(cell.network):
         values = runs.conventions(cell.metric, label, cell.scene)

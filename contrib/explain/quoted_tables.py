@@ -169,7 +169,7 @@ def _tex_cells(text: str) -> list[str]:
     """Return the plain text of a cell, repeated over the columns that it spans."""
     spanned = re.search(r"\\multicolumn\s*\{(\d+)\}\s*\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\}", text)
     if spanned:
-        text = text[: spanned.start()] + text[spanned.end() :]
+        text = text.replace(spanned[0], "", 1)
     text = re.sub(r"\\multirow(?:\[[^\]]*\])?\{[^{}]*\}(?:\[[^\]]*\])?\{[^{}]*\}", "", text)
     text = re.sub(r"\\(?:cite\w*|ref|footnote\w*|label|color|textcolor|hspace|vspace)\*?(?:\[[^\]]*\])*\{[^{}]*\}", "", text)
     for sign, meaning in SIGNS.items():
@@ -198,7 +198,7 @@ def _cells(grid: Grid, metric: str, left_out: dict[str, str]) -> Iterator[Quoted
         if not any(map(_is_number, row)):
             continue
         for at in range(width):
-            if at in words or not _is_number(row[at]):
+            if not _is_number(row[at]):
                 continue
             stack = [head[at] for head in heads]
             named = next(filter(None, map(metric_key, reversed(stack))), "") or metric
@@ -228,7 +228,7 @@ def _column(heads: Sequence[str], names: Sequence[str]) -> int:
 
 def _is_number(text: str) -> bool:
     """True for a cell that is a number, perhaps with a mark, a spread or a unit behind it; not for a name with digits."""
-    return NUMBER.match(text.strip()) is not None and not re.match(r"[-+]?[\d.,]+\s*(?:[×x*]\s*)?[A-Za-z]{3,}", text.strip())
+    return re.match(r"\s*(?![-+]?[\d.,]+\s*(?:[×x*]\s*)?[A-Za-z]{3,})" + NUMBER.pattern, text) is not None
 
 
 def _on_own_scale(cell: str, head: str) -> str:

@@ -34,6 +34,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, as_ranges, frame_path, wri
 from ggvs_eval.tasks.task import Task
 
 NAME = re.compile(r"\w[\w.+-]*")
+LONGEST_NAME = 128  # bytes; file systems take 255, of which temporary folders add their own, host and process to the name
 # An archive may hold renders, truth, depth and masks of each frame, with little that compresses.
 ARCHIVE_BYTES_PER_PIXEL = 24
 ARCHIVE_FILES_PER_FRAME = 12
@@ -89,7 +90,12 @@ def import_renders(
 def require_there(renders: Mapping[str, Path]) -> None:
     """Refuse names that renders cannot have, and paths that there are not, before anything is done about the others."""
     for label, path in renders.items():
-        _check_label(label)
+        if _is_taken(label) or not NAME.fullmatch(label) or len(label.encode()) > LONGEST_NAME:
+            reason = "the name of a built-in method" if _is_taken(label) else f"not a plain name of at most {LONGEST_NAME} bytes"
+            reason = "the captured frames" if label == "truth" else reason
+            raise RenderError(
+                f"renders cannot be called {label!r}, which is {reason}; give another: --renders {plain_label(label)}=PATH"
+            )
         if not path.exists():
             raise RenderError(no_such_path(path, "renders"))
 
@@ -186,21 +192,13 @@ def plain_label(name: str) -> str:
         >>> plain_label("my renders (2)"), plain_label("enerf")
         ('my-renders-2', 'enerf-renders')
     """
-    label = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "renders"
+    label = re.sub(r"(?<=^.{100}).+|[^\w.+-]+", "-", name).strip("-.+") or "renders"
     return f"{label}-renders" if _is_taken(label) else label
 
 
 def _is_taken(label: str) -> bool:
     """Return whether a name means something else in a run, or is what tables call one of this package's methods."""
     return label.lower() in {"truth", *METHODS, *(spec.title.lower() for spec in METHODS.values())}
-
-
-def _check_label(label: str) -> None:
-    if NAME.fullmatch(label) and not _is_taken(label):
-        return
-    reason = "which is the name of a built-in method" if _is_taken(label) else "which is not a plain name"
-    reason = "which is the captured frames" if label == "truth" else reason
-    raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 
 
 def _identity(request: FrameRequest, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:

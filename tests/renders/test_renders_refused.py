@@ -279,6 +279,13 @@ def test_names_that_mean_something_else_are_refused(label, truth_run, tmp_path):
     assert "renders cannot be called" in refusal(truth_run, write_folders(tmp_path / "theirs"), label)
 
 
+def test_a_name_longer_than_file_systems_take_is_one_line(truth_run, tmp_path):
+    """Temporary folders add to it, so that the limit is below theirs; the name that is offered instead is shorter."""
+    line = refusal(truth_run, write_folders(tmp_path / "theirs"), 245 * "a")
+    assert "which is not a plain name of at most 128 bytes; give another: --renders " in line
+    assert line.endswith(f" {100 * 'a'}=PATH")
+
+
 def test_what_was_rendered_here_is_not_overwritten(truth_run, tmp_path):
     """A folder of that name that no import made stays, and a run cannot import from itself."""
     write_folders(truth_run.root / "renders" / "mine")
