@@ -34,7 +34,7 @@ class Result:
     Attributes:
         name: for people, e.g. ``ours-geometric in cam00``.
         folder: holds it.
-        kind: word of `ggvs_eval.pipelines.methods.stage_costs.KINDS`.
+        kind: word that `ggvs_eval.pipelines.methods.stage_costs.stage_of` knows.
         pace: results of one word take as long as each other, file for file; empty for their kind.
         count: how many files, maps or scenes it has.
         cost_s: core-seconds of each at `jobs.machine.pace` 1; None if they are not known.
