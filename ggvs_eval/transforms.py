@@ -39,7 +39,7 @@ class Transform:
         is_exact: whether no value is interpolated or rounded.
         truth_words: what `apply` does, where `inverse` interpolates and the truth can be changed
             instead; else empty.
-        border_px: width along each side within which pixels are made of what lies outside.
+        border_px: width along each side within which pixels are made of pixels outside the picture.
     """
 
     words: str

@@ -110,7 +110,7 @@ def _score(
     n_frames: int,
     *frame: Any,
 ) -> list[Any]:
-    """Add the last of so many frames to the scorer of a number, or finish where there is none."""
+    """Add the last of these frames to the scorer of a number, or finish where there is none."""
     scorer = _SCORERS.pop(number, None)
     if scorer is None:
         if metric.scorer and n_frames > 1:

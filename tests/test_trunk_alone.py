@@ -1,4 +1,4 @@
-"""The trunk stands alone: with every leaf deleted the README's renders are scored and shown; each leaf comes back alone."""
+"""The trunk works alone: with every leaf deleted the README's renders are scored and shown; each leaf comes back alone."""
 
 import json
 import re

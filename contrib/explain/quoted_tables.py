@@ -58,7 +58,7 @@ class QuotedCell:
         text: number as printed, on the metric's own scale (a column in per cent is divided by 100).
         row: index of its row among those with numbers.
         column: index of its column in the file.
-        title: what stands above it, or in its row as its metric.
+        title: text above it, or in its row as its metric.
     """
 
     method: str

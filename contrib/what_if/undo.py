@@ -27,7 +27,7 @@ class Way:
     Attributes:
         words: what is done.
         is_exact: whether no value is interpolated or rounded.
-        border_px: width along each side within which pixels are made of what lies outside of the picture.
+        border_px: width along each side within which pixels are made of pixels outside the picture.
     """
 
     words: str

@@ -32,7 +32,7 @@ def code_of(*names: str) -> str:
     """Return the hash of the code that makes something, with that of the common rooms.
 
     Args:
-        names: packages, which are rooms, or modules, each of which stands for the room that it is in;
+        names: packages, which are rooms, or modules, which mean the rooms that they are in;
             a module of a plug-in counts with its whole file or package.
     """
     ours = {name for name in names if name.partition(".")[0] == PACKAGE}

@@ -25,6 +25,7 @@ from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 UNFINISHED = "unfinished"  # what a task that resumes has left: .<name>.<hash>.unfinished
 KEPT_OF_HASH = 16  # digits
 Status = list[Any]  # size, times and digest of a file
+STALE = ""  # in place of a digest: made from something else
 
 
 @dataclass(frozen=True)
@@ -221,15 +222,11 @@ class FileTask(Result):
         self.note()
 
     def begin(self) -> None:
-        """Open the folder: what was made from something else goes."""
+        """Open the folder: what was made from something else stays until it is replaced, and counts as missing."""
         with locked(self.folder):
             if read_record(self.folder).get("sha256") == self.sha256:
                 return
-            suffixes = {Path(name).suffix for name in self.files}
-            for file in self.folder.iterdir():
-                if file.suffix in suffixes:
-                    file.unlink()
-            self._write({})
+            self._write({file.name: [STALE] for file in self.folder.iterdir()})
 
     def note(self) -> None:
         """Note the files, which are there."""

@@ -25,7 +25,7 @@ def parts_of(value: Any, depth: int = 4) -> Iterator[Any]:
 
 @pytest.mark.parametrize("label", METHODS)
 def test_a_method_names_its_modules(label):
-    """Whatever a method is made of stands in the rooms that its spec names."""
+    """All that a method is made of is in the rooms that its spec names."""
     spec = find_method(label)
     try:
         method = spec.make_fitter() if isinstance(spec, FittedMethod) else spec.make()

@@ -125,3 +125,18 @@ def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):
     write_image(tmp_path / "path" / "0000.png", images[0] + 5)
     assert (cached(), cached()) == ([0, 1], [])
     assert (read_image(frame_path(out, 0)) == 25).all()
+
+
+def test_frames_of_another_version_stay_until_they_are_replaced(dynerf_capture, dynerf, tmp_path):
+    """Where they cannot be decoded again, what the folder had is still there, and still counts as missing."""
+    cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
+    frames = {file: file.read_bytes() for file in (tmp_path / "cam02").glob("*.png")}
+    small = dynerf_capture.resized(32, 24, "area")
+    for video in dynerf.glob("*.mp4"):
+        video.unlink()
+
+    with pytest.raises(CaptureError):
+        cache_frames(small, {"cam02": range(5)}, tmp_path, workers=1)
+
+    assert {file: file.read_bytes() for file in frames} == frames
+    assert frames_left(small, {"cam02": range(5)}, tmp_path) == {"cam02": [0, 1, 2, 3, 4]}
