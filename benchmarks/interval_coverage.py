@@ -211,14 +211,14 @@ def check_package(repetitions: int) -> Iterator[str]:
             held.append(measure_spread([scene(first, pool_mean(first))]).p_value() >= 1.0 - LEVEL)
             own = measure_spread([scene(first, pool_sdt(first), squares=True)])
             deviations.append(own.value)
-            halves.append(own.half_width(LEVEL))
+            halves.append(own.half_width())
             one, other = shared + first, shared + second
             pools = ((pool_mean, False), (pool_sdt, True))
             pairs = [(scene(one, pool(one), squares), scene(other, pool(other), squares)) for pool, squares in pools]
             mean, deviation = (measure_spread([ours.minus(theirs)]) for ours, theirs in pairs)
             short.append(bool(mean.short))
-            alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.undecided())
-            of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.undecided())
+            alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.too_short(1.0 - LEVEL, mean.worth))
+            of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.too_short(1.0 - LEVEL, deviation.worth))
         sdt_held = np.abs(np.array(deviations) - np.mean(deviations)) <= halves
         shares = [100 * float(np.mean(each)) for each in (held, sdt_held, alarms, of_sdt, short)]
         yield (

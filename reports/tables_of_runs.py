@@ -13,6 +13,7 @@ from ggvs_eval.reports.model.table import SHORT_MEANS, Table, join_tables
 from ggvs_eval.reports.run_groups import HASH_DIGITS, runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import OWN_TRUTH_MEANS, main_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
+from ggvs_eval.reports.tables.verdict import judge_runs
 from ggvs_eval.results import Results
 
 TableFormat = Literal["markdown", "latex", "csv"]
@@ -39,7 +40,7 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     protocol, results = runs[0].protocol, merge_results([run.results for run in runs])
     names = list(dict.fromkeys(columns or protocol.measurement.metrics))
     several = len({run.scene for run in runs}) > 1
-    tables = [_over_scenes(runs, results, name) for name in names] if several else [*main_tables(runs, results, names)]
+    tables = _over_scenes(runs, results, names) if several else [*main_tables(runs, results, names)]
     means = [f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"]
     means += filter(None, dict.fromkeys(run.sources_text for run in runs))
     terms = f"Mean over {', '.join(means)}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
@@ -60,14 +61,18 @@ def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
     return replace(table, caption=f"{terms} {marks}".strip(), notes=tuple(notes))
 
 
-def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metric: str) -> Table:
-    """Return a metric with a column per scene and one of their mean, each judged alone."""
-    parts = {run.scene: main_tables([run], run.results, [metric])[0] for run in runs}
-    parts[MEAN] = main_tables(runs, results, [metric])[0]
-    unit = parts[MEAN].columns[0].unit
-    named = [
-        replace(part, key=name, dataset="", columns=(replace(part.columns[0], name=name, unit=""),))
-        for name, part in parts.items()
-    ]
-    (joined,) = join_tables(named, [*parts])
-    return replace(joined, key=metric, title=f"{metric}, {unit}" if unit else metric, judgements={})
+def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metrics: Sequence[str]) -> list[Table]:
+    """Return per metric a table with a column per scene and one of their mean, each judged alone."""
+    parts = {run.scene: ([run], run.results) for run in runs} | {MEAN: (runs, results)}
+    standings = {name: judge_runs(*part) for name, part in parts.items()}
+    tables = []
+    for metric in metrics:
+        columns = []
+        for name, part in parts.items():
+            table = main_tables(part[0], part[1], [metric], standings=standings[name])[0]
+            unit = table.columns[0].unit
+            column = replace(table.columns[0], name=name, unit="")
+            columns.append(replace(table, key=name, dataset="", columns=(column,)))
+        (joined,) = join_tables(columns, [*parts])
+        tables.append(replace(joined, key=metric, title=f"{metric}, {unit}" if unit else metric, judgements={}))
+    return tables

@@ -27,7 +27,7 @@ from ggvs_eval.progress import track
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.tables.report_tables import main_tables
-from ggvs_eval.statistics.paired import OUTCOMES, judge_against
+from ggvs_eval.reports.tables.verdict import describe_outcome
 
 Verdict = Literal["reproduced", "other convention", "undecided", "not reproduced", "not checked"]
 VERDICTS: Mapping[Verdict, str] = {
@@ -110,11 +110,8 @@ class Runs:
 
     def outcome(self, metric: str, scene: str, label: str, other: str) -> str:
         """Return how the runs of a scene decide between two methods, in words; empty if the first is better or worse."""
-        runs, is_higher_better = self.of_scene(scene), bool(METRICS[metric].higher_is_better)
-        results = merge_results([run.results for run in runs])
-        comparisons = judge_against(results, metric, is_higher_better, runs[0].protocol.dataset, other, [label])
-        found = comparisons[label].outcome if label in comparisons else "untested"
-        return "" if found in ("better", "worse") else OUTCOMES[found]
+        runs = self.of_scene(scene)
+        return describe_outcome(runs, merge_results([run.results for run in runs]), (metric, label, other))
 
     def _measure(self, metric: str, scene: str) -> dict[str, Cell]:
         runs = self.of_scene(scene)

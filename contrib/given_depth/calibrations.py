@@ -25,7 +25,7 @@ from ggvs_eval.pipelines.commands.flags import (
 )
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.tables.compare_runs import Difference, cells_of, differences, differences_csv, run_sides
+from ggvs_eval.reports.tables.compare_runs import Difference, cells_of, compare_pairs, differences_csv, run_sides
 
 Variants = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...", help_behavior_hint="(required)")
@@ -91,10 +91,10 @@ def calibrations(
     for each, capture in opened.items():
         measure(plan_run(RunRequest(engine.place(out) / each.name, capture, terms, methods, depth)), engine)
     reference = wanted[0].name
-    found = {each.name: _against(out, reference, each.name) for each in wanted[1:]}
-    by_pair = {f"{method}: {name} against {reference}": rows for name, one in found.items() for method, rows in one.items()}
+    by_variant = compare_variants(out, reference, [variant.name for variant in wanted[1:]])
+    by_pair = {f"{method}: {name} against {reference}": rows for (name, method), rows in by_variant.items()}
     write_text(out / "calibrations.csv", differences_csv(by_pair, ("value", f"value of {reference}")))
-    print(costs_text(reference, found))
+    print(costs_text(reference, by_variant))
 
 
 def parse_variants(variants: Sequence[str], depths: Sequence[str]) -> list[Variant]:
@@ -145,20 +145,24 @@ def require_same_frames(one: Variant, first: Capture, other: Variant, second: Ca
             )
 
 
-def _against(out: Path, first: str, name: str) -> dict[str, tuple[Difference, ...]]:
-    """Return the differences of a variant's run to the first one's, per method, variant minus first."""
-    pairs = run_sides(out / first, out / name)
-    return {other.label: differences(other, one, out / first, (name, first)) for one, other in pairs}
+def compare_variants(out: Path, reference: str, variants: Sequence[str]) -> dict[tuple[str, str], tuple[Difference, ...]]:
+    """Return (variant, method) -> differences of its run to the reference's, decided together over all of them."""
+    pairs, names = {}, {}
+    for variant in variants:
+        for base, changed in run_sides(out / reference, out / variant):
+            pairs[f"{changed.label}: {variant} against {reference}"] = changed, base
+            names[variant, changed.label] = variant, reference
+    compared = compare_pairs(pairs, out / reference, dict(zip(pairs, names.values(), strict=True)))
+    return dict(zip(names, compared.values(), strict=True))
 
 
-def costs_text(first: str, found: Mapping[str, Mapping[str, Sequence[Difference]]]) -> str:
+def costs_text(first: str, compared: Mapping[tuple[str, str], Sequence[Difference]]) -> str:
     """Return a line per variant, method and metric: value of the first, value, and difference with its interval."""
     rows = []
-    for name, methods in found.items():
-        for method, several in methods.items():
-            for row in several:
-                if not row.view:
-                    metric, _, value, reference, change, interval, _, verdict = cells_of(row)
-                    rows.append((name, method, metric, reference, value, change, interval, verdict))
+    for (name, method), several in compared.items():
+        for row in several:
+            if not row.view:
+                metric, _, value, reference, change, interval, _, verdict = cells_of(row)
+                rows.append((name, method, metric, reference, value, change, interval, verdict))
     heads = {"variant": 0, "method": 0, "metric": 0, first: 0, "value": 0, f"minus {first}": 0, "95 %": 0, "verdict": 1}
     return text_table(heads, rows)

@@ -1,7 +1,7 @@
 """Scores of rendered frames as they came and with each fault undone, with paired intervals of the differences."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -181,10 +181,10 @@ def _treatments(undos: Sequence[Undo], together: str) -> list[_Treatment]:
 def _row(results: Results, number: int, treatment: _Treatment, metrics: Sequence[str]) -> Row:
     summary = results.summary()
     values = {metric: float(summary[metric].to_numpy()[number]) for metric in metrics}
-    scores = {
-        metric: Score(value, compare(results, metric, str(number), "0", PLACE) if number else None)
-        for metric, value in values.items()
-    }
+    scores = {}
+    for metric, value in values.items():
+        gain = replace(compare(results, metric, str(number), "0", PLACE), spread=None) if number else None  # plain numbers
+        scores[metric] = Score(value, gain)
     return Row(
         treatment.words,
         tuple(undo.fault for undo in treatment.undos),

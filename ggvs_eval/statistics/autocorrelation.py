@@ -21,7 +21,7 @@ NOISE_SHARES = (0.3, 0.6)  # of the variance, in models with noise of each frame
 NOISE_FROM = 0.3  # correlation from which such noise is worth a model
 NOISE_PRIOR = 0.05
 FEWEST_WORTH = 4.0  # independent frames below which an interval covers too seldom
-FEWEST_CALLED = 8.0  # to call a difference; at 4, 15 % of equal pairs were called different in 12 frames at a correlation of 0.9
+FEWEST_CALLED = 10.0  # to call a difference; at 8, 5 to 8 % of equal pairs were called different in 6 to 12 frames
 SMALLEST_TAIL = 1e-12
 
 
@@ -66,14 +66,16 @@ class ErrorOfMean:
         scales: (G,), standard errors.
         freedom: degrees of freedom.
         short: why the series is too short for its correlation, so that intervals are perhaps too narrow; empty if it is not.
-        uncalled: why it is too short to call the sign of its mean; empty if it is not.
+        worth: independent values with as certain a mean; infinite of values that are independent.
+        frames: length of the series; 0 of values that are independent.
     """
 
     weights: Array
     scales: Array
     freedom: float
     short: str = ""
-    uncalled: str = ""
+    worth: float = math.inf
+    frames: int = 0
 
     @classmethod
     def of_sample(cls, values: Array, count: int = 1) -> "ErrorOfMean":
@@ -95,7 +97,7 @@ class ErrorOfMean:
         worth = float(posterior.worth)
         freedom = max(worth - 1.0, 1.0) if squares else posterior.freedom
         short = describe_short(len(series), worth, FEWEST_WORTH, "interval perhaps too narrow")
-        return cls(posterior.weights, scales, freedom, short, describe_short(len(series), worth))
+        return cls(posterior.weights, scales, freedom, short, worth, len(series))
 
     def tail(self, size: float) -> float:
         """Return the probability of an error of at least this size, up or down."""
@@ -124,9 +126,9 @@ def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED, cla
 
     Examples:
         >>> describe_short(23, 2.4)
-        'clip too short: its 23 frames are worth 2 independent ones, since errors are correlated, of 8 needed'
+        'clip too short: its 23 frames are worth 2 independent ones, since errors are correlated, of 10 needed'
         >>> describe_short(3, 3.2)
-        'clip too short: it has 3 frames, of 8 independent ones needed'
+        'clip too short: it has 3 frames, of 10 independent ones needed'
     """
     if worth >= wanted:
         return ""

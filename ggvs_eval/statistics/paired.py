@@ -1,13 +1,13 @@
 """Judgement of methods: paired comparisons on the same views and frames, and what may be said of the best from them."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, TypeVar
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results, label_of, without_labels
-from ggvs_eval.statistics.intervals import LEVEL, Interval, measure_spread, table_intervals
+from ggvs_eval.statistics.intervals import LEVEL, Interval, Spread, measure_spread, table_intervals, typical_worth
 from ggvs_eval.statistics.pooled import PooledTable, pool_table
 
 # Of the first of two methods. Too short: the clip allows no answer, which is not the same as "as good".
@@ -30,10 +30,11 @@ class Comparison:
         high: upper bound; None where `low` is.
         p_value: two-sided p value of no difference; None where `low` is.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
-        short: why the clip is too short to call it, regardless of the p value; empty if it is not.
-        is_clear: whether even too short a clip would be long enough to call it.
-        corrected: p value after Holm's correction for the comparisons that it was made with.
+        short: why the clip is too short to call it, regardless of the p value; empty if it is not, or before it was decided.
+        corrected: p value after Holm's correction for the comparisons that it was decided with.
         outcome: of the first method; ``untested`` before it was decided, see `decide`.
+        higher_is_better: direction of the metric.
+        spread: the difference with its random error; None where `low` is.
     """
 
     difference: float
@@ -42,9 +43,41 @@ class Comparison:
     p_value: float | None
     note: str
     short: str = ""
-    is_clear: bool = False
     corrected: float | None = None
     outcome: Outcome = "untested"
+    higher_is_better: bool = True
+    spread: Spread | None = field(default=None, compare=False)
+
+    @property
+    def reversed(self) -> "Comparison":
+        """The same, second minus first."""
+        outcome: Outcome = {"better": "worse", "worse": "better"}.get(self.outcome, self.outcome)  # type: ignore[assignment]
+        low = None if self.high is None else -self.high
+        high = None if self.low is None else -self.low
+        return replace(self, difference=-self.difference, low=low, high=high, outcome=outcome)
+
+
+class Pair(NamedTuple):
+    """Labels of two methods that are compared in a metric."""
+
+    metric: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """How a metric of a table ranks its methods.
+
+    Attributes:
+        captured: what the captured images themselves score, of a metric without truth; None where unknown.
+        incomparable: label -> why its number is not ranked, as it follows the name.
+    """
+
+    metric: str
+    higher_is_better: bool
+    captured: float | None = None
+    incomparable: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,6 +86,7 @@ class Judgement:
 
     Attributes:
         best: label of the best number among the contenders; empty if nothing is ranked.
+        plainest: of one method's labels the one that represents them; empty if there is none.
         comparisons: label -> its decided difference to the best, for every other method that is ranked.
         variants: ranked methods that do not compete, since one of their kind competes for all -> their difference to that one.
         unranked: label -> why its number is not ranked, as it follows the name.
@@ -64,6 +98,13 @@ class Judgement:
     variants: Mapping[str, Comparison]
     unranked: Mapping[str, str]
     intervals: Mapping[str, Interval]
+    plainest: str = ""
+
+    def decided(self, metric: str, family: Mapping["Pair", Comparison]) -> "Judgement":
+        """Return the same with what was decided of its comparisons."""
+        comparisons = {label: family[Pair(metric, label, self.best)] for label in self.comparisons}
+        variants = {label: family[Pair(metric, label, self.plainest)] for label in self.variants}
+        return replace(self, comparisons=comparisons, variants=variants)
 
     @property
     def rivals(self) -> tuple[str, ...]:
@@ -108,7 +149,54 @@ class Judgement:
         return replace(interval, note=note)
 
 
-def compare(results: Results, metric: str, first: str, second: str, dataset: str, level: float = LEVEL) -> Comparison:
+@dataclass(frozen=True)
+class Standings:
+    """Judgements of one table on one data set, whose comparisons were decided together.
+
+    Attributes:
+        judgements: metric -> which methods are better than which.
+        family: comparisons that the table makes: of every method with the best, and of the variants of a method with it, in all
+            metrics.
+    """
+
+    results: Results
+    dataset: str
+    rankings: Mapping[str, Ranking]
+    judgements: Mapping[str, Judgement]
+    family: Mapping[Pair, Comparison]
+
+    def decide(self, pairs: Iterable[Pair]) -> dict[Pair, Comparison]:
+        """Decide some pairs as the table does.
+
+        Returns:
+            Pair -> its comparison; none of a method without a number.
+
+        Reading:
+            What the table has said already stays so. Further comparisons are decided together with all of the table, as if it
+            had made them too.
+        """
+        known: dict[Pair, Comparison] = {}
+        further: dict[Pair, Comparison] = {}
+        for pair in pairs:
+            turned = Pair(pair.metric, pair.second, pair.first)
+            if pair in self.family:
+                known[pair] = self.family[pair]
+            elif turned in self.family:
+                known[pair] = self.family[turned].reversed
+            else:
+                further |= self._compare(pair)
+        everything = decide({**self.family, **further}) if further else {}
+        return known | {pair: everything[pair] for pair in further}
+
+    def _compare(self, pair: Pair) -> dict[Pair, Comparison]:
+        """Compare two methods that have a number."""
+        table = pool_table(self.results, pair.metric, self.dataset)
+        if any(math.isnan(table.values.get(label, math.nan)) for label in (pair.first, pair.second)):
+            return {}
+        return {pair: _compare(table, pair.first, pair.second, self.rankings[pair.metric].higher_is_better)}
+
+
+def compare(results: Results, metric: str, first: str, second: str, dataset: str, higher_is_better: bool = True) -> Comparison:
     """Compare two methods on the same views and frames.
 
     Args:
@@ -118,99 +206,94 @@ def compare(results: Results, metric: str, first: str, second: str, dataset: str
     for label in (first, second):
         if label not in table.values:
             raise ResultsError(f"{metric} of {label}: no values on {dataset}; there are {', '.join(table.values) or 'none'}")
-    return _compare(table, first, second, level)
+    return _compare(table, first, second, higher_is_better)
 
 
-def decide(comparisons: Mapping[str, Comparison], higher_is_better: bool, level: float = LEVEL) -> dict[str, Comparison]:
-    """Decide some comparisons together.
+Key = TypeVar("Key", bound=Hashable)
+
+
+def decide(comparisons: Mapping[Key, Comparison]) -> dict[Key, Comparison]:
+    """Decide some comparisons together: those of one table, over all its metrics, methods and variants.
 
     Reading:
-        A difference counts where Holm's corrected p value is below 1 - level: the more comparisons, the harder. It is not
-        called at all where the clip is too short for its correlation (`intervals.Spread.undecided`): then its interval, which
-        assumes to know that correlation, covers too seldom.
+        A difference counts where Holm's corrected p value is below 0.05: the more comparisons, the harder. It is not
+        called at all where the clip is too short for its correlation (`intervals.Spread.too_short`): then its interval, which
+        assumes to know that correlation, covers too seldom. Of equal methods any is called better in at most 5 % of tables and
+        of pairs (`benchmarks/interval_coverage.py`).
     """
-    tested = {label: one.p_value for label, one in comparisons.items() if one.p_value is not None}
-    p_values = dict(zip(tested, holm(list(tested.values())), strict=True))
-    return {label: _decided(one, p_values.get(label), higher_is_better, level) for label, one in comparisons.items()}
+    tested = {key: comparison for key, comparison in comparisons.items() if comparison.spread is not None}
+    p_values = holm([comparison.p_value or 0.0 for comparison in tested.values()])
+    corrected = dict(zip(tested, p_values, strict=True))
+    worth = typical_worth([comparison.spread for comparison in tested.values() if comparison.spread is not None])
+    tail = (1.0 - LEVEL) / max(len(tested), 1)
+    decided = {}
+    for key, comparison in comparisons.items():
+        short = "" if comparison.spread is None else comparison.spread.too_short(tail, worth)
+        p_value = corrected.get(key)
+        outcome = _outcome(comparison.difference, p_value, short, comparison.higher_is_better)
+        decided[key] = replace(comparison, corrected=p_value, short=short, outcome=outcome)
+    return decided
 
 
-def _decided(one: Comparison, p_value: float | None, higher_is_better: bool, level: float) -> Comparison:
-    outcome: Outcome = "better" if (one.difference > 0) == higher_is_better else "worse"
-    if one.difference == 0.0:
-        outcome = "equal"
-    elif p_value is None:
-        outcome = "untested"
-    elif one.short:
-        outcome = "too short"
-    elif p_value >= 1.0 - level:
-        outcome = "as good"
-    return replace(one, corrected=p_value, outcome=outcome)
+def _outcome(difference: float, p_value: float | None, short: str, higher_is_better: bool) -> Outcome:
+    if difference == 0.0:
+        return "equal"
+    if p_value is None:
+        return "untested"
+    if short:
+        return "too short"
+    if p_value >= 1.0 - LEVEL:
+        return "as good"
+    return "better" if (difference > 0) == higher_is_better else "worse"
 
 
-def judge_against(
-    results: Results, metric: str, higher_is_better: bool, dataset: str, reference: str, labels: Collection[str]
-) -> dict[str, Comparison]:
-    """Decide the differences of some methods to one of them, as `judge` does of all to the best.
-
-    Returns:
-        Label -> its decided comparison with the reference; methods without a number are left out.
-    """
-    table = pool_table(results, metric, dataset)
-    having = [each for each in labels if each != reference and not math.isnan(table.values.get(each, math.nan))]
-    return decide(_of_one_clip({each: _compare(table, each, reference, LEVEL) for each in having}), higher_is_better)
-
-
-def _of_one_clip(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """Apply a too short clip of one comparison to all comparisons of a metric, except clear ones."""
-    short = next((one.short for one in comparisons.values() if one.short), "")
-    return {label: one if one.is_clear else replace(one, short=short) for label, one in comparisons.items()}
-
-
-def judge(
-    results: Results,
-    metric: str,
-    higher_is_better: bool,
-    dataset: str,
-    *,
-    captured: float | None = None,
-    own: Collection[str] = (),
-    incomparable: Mapping[str, str] | None = None,
-) -> Judgement:
-    """Find the best method in a metric and judge every other one against it.
+def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own: Collection[str] = ()) -> Standings:
+    """Find the best method in each metric of a table and judge every other one against it.
 
     Args:
         results: of all methods; those that are set aside, partial or faulty, are not ranked.
-        captured: what the captured images themselves score, of a metric without truth; None where unknown.
+        rankings: of the metrics of the table, shown or not: they are one family.
         own: labels of one method and its variants. A method does not compete with its own ablations: the plainest represents
             all, unless these alone were measured.
-        incomparable: label -> why else its number is not ranked, as it follows the name.
 
-    Raises:
-        ResultsError: no method has a value.
+    Returns:
+        Judgements of the metrics in which any method has a number.
 
     Reading:
         A metric that sees no truth prefers what changes little, and blur changes least. Numbers better than those of the captured
         images are therefore not ranked; up to there a better number is nearer to them.
     """
-    here = (results.table["metric"] == metric) & (results.table["dataset"] == dataset)
-    if not here.any():
-        raise ResultsError(f"{metric}: no values on {dataset}; score it")
     whole = without_labels(results, results.set_aside)
-    table = pool_table(whole, metric, dataset)
-    values = {label: value for label, value in table.values.items() if not math.isnan(value)}
-    unranked = dict(incomparable or {}) | _elsewhere(whole, metric, dataset)
-    sign = 1.0 if higher_is_better else -1.0
-    if captured is not None:
-        unranked |= {label: BEYOND for label, value in values.items() if sign * value > sign * captured}
-    ranked = {label: value for label, value in values.items() if label not in unranked}
-    plainest, variants = _variants(list(ranked), own)
-    contenders = {label: value for label, value in ranked.items() if label not in variants}
-    best = max(contenders, key=lambda label: sign * contenders[label], default="")  # of equals the first
-    against_best = {each: _compare(table, each, best, LEVEL) for each in ranked if each != best}
-    comparisons = decide(_of_one_clip(against_best), higher_is_better)
-    worth = comparisons if best == plainest else {label: _compare(table, label, plainest, LEVEL) for label in variants}
-    parts = decide({label: worth[label] for label in variants}, higher_is_better)
-    return Judgement(best, comparisons, parts, unranked | results.set_aside, table_intervals(table))
+    judgements: dict[str, Judgement] = {}
+    pairs: dict[Pair, Comparison] = {}
+    for ranking in rankings:
+        metric, sign = ranking.metric, 1.0 if ranking.higher_is_better else -1.0
+        rows = results.table[(results.table["metric"] == metric) & (results.table["dataset"] == dataset)]
+        if rows["value"].isna().all():
+            continue
+        table = pool_table(whole, metric, dataset)
+        values = {label: value for label, value in table.values.items() if not math.isnan(value)}
+        unranked = {**ranking.incomparable, **_elsewhere(whole, metric, dataset)}
+        if ranking.captured is not None:
+            unranked |= {label: BEYOND for label, value in values.items() if sign * value > sign * ranking.captured}
+        ranked = [label for label in values if label not in unranked]
+        plainest, variants = _variants(ranked, own)
+        contenders = [label for label in ranked if label not in variants]
+        best = max(contenders, key=lambda label: sign * values[label], default="")  # of equals the first
+        wanted = [Pair(metric, label, best) for label in ranked if label != best]
+        wanted += [Pair(metric, label, plainest) for label in variants]
+        pairs |= {pair: _compare(table, pair.first, pair.second, ranking.higher_is_better) for pair in wanted}
+        judgements[metric] = Judgement(
+            best=best,
+            plainest=plainest,
+            comparisons={label: pairs[Pair(metric, label, best)] for label in ranked if label != best},
+            variants={label: pairs[Pair(metric, label, plainest)] for label in variants},
+            unranked=unranked | results.set_aside,
+            intervals=table_intervals(table),
+        )
+    family = decide(pairs)
+    decided = {metric: judgement.decided(metric, family) for metric, judgement in judgements.items()}
+    return Standings(results, dataset, {ranking.metric: ranking for ranking in rankings}, decided, family)
 
 
 def _variants(ranked: Sequence[str], own: Collection[str]) -> tuple[str, list[str]]:
@@ -246,17 +329,25 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _compare(table: PooledTable, first: str, second: str, level: float) -> Comparison:
+def _compare(table: PooledTable, first: str, second: str, higher_is_better: bool) -> Comparison:
     """Take the difference first, so that what moves both methods alike cancels."""
     values = table.values[first], table.values[second]
     difference = 0.0 if values[0] == values[1] else values[0] - values[1]  # two infinite numbers are equal too
     try:
-        ours, theirs = table.scenes_of(first), table.scenes_of(second)
-        if [one.scene for one in ours] != [one.scene for one in theirs]:
+        minuends, subtrahends = table.scenes_of(first), table.scenes_of(second)
+        if [scene.scene for scene in minuends] != [scene.scene for scene in subtrahends]:
             raise ResultsError(f"{first} and {second} were not measured on the same scenes; score both on each")
-        spread = measure_spread([one.minus(other) for one, other in zip(ours, theirs, strict=True)])
+        pairs = zip(minuends, subtrahends, strict=True)
+        spread = measure_spread([minuend.minus(subtrahend) for minuend, subtrahend in pairs])
     except ResultsError as refusal:
-        return Comparison(difference, None, None, None, str(refusal))
-    half = spread.half_width(level)
-    bounds, short = (difference - half, difference + half), spread.undecided(level)
-    return Comparison(difference, *bounds, spread.p_value(), spread.note, short, spread.is_clear(level))
+        return Comparison(difference, None, None, None, str(refusal), higher_is_better=higher_is_better)
+    half = spread.half_width()
+    return Comparison(
+        difference=difference,
+        low=difference - half,
+        high=difference + half,
+        p_value=spread.p_value(),
+        note=spread.note,
+        higher_is_better=higher_is_better,
+        spread=spread,
+    )

@@ -308,9 +308,7 @@ def read_run(root: Path) -> MeasuredRun:
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
     hidden = {label for others in run.replicas.values() for label in others} | _left_out(run)
     labels = tuple(label for label in folder.labels() if label not in hidden)
-    references = folder.root / REFERENCES_FILE
-    given = [Reference(**entry) for entry in read_json(references)] if references.is_file() else ()
-    run = replace(run, labels=labels, references=tuple(given))
+    run = replace(run, labels=labels)
     for view in run.protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
         require_frames(named, run.frames)
@@ -349,7 +347,20 @@ def read_scores(root: Path) -> MeasuredRun:
     own = without_labels(results, rows.keys() - shown)
     everything = None if own is results else results
     sources = frozenset(methods.get("from_sources", ()))  # which runs of earlier versions do not say
-    return MeasuredRun(folder, protocol, own, shown, methods["names"], ours, notes, (), replicas, everything, sources)
+    references = read_json(folder.root / REFERENCES_FILE) if (folder.root / REFERENCES_FILE).is_file() else []
+    return MeasuredRun(
+        folder=folder,
+        protocol=protocol,
+        results=own,
+        labels=shown,
+        names=methods["names"],
+        ours=ours,
+        metrics=notes,
+        references=tuple(Reference(**reference) for reference in references),
+        replicas=replicas,
+        all_results=everything,
+        from_sources=sources,
+    )
 
 
 def is_sweep(root: Path) -> bool:

@@ -1,6 +1,6 @@
 """Paired comparison of two runs, or two methods of one run: differences, whether they are significant, as text and CSV."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,13 @@ import pandas as pd
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.merged_results import tell_scenes_apart
-from ggvs_eval.reports.model.measured import METHODS_FILE, MetricNote, read_metric_notes
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, read_scores
 from ggvs_eval.reports.model.table import format_value, signed
 from ggvs_eval.reports.tables.table_formats import csv_text
-from ggvs_eval.reports.tables.verdict import judge_metric
+from ggvs_eval.reports.tables.verdict import judge_runs
 from ggvs_eval.results import Results, without_labels
-from ggvs_eval.run_folder import ON_SCREEN, RunFolder, read_json
-from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare, decide
+from ggvs_eval.run_folder import ON_SCREEN, RunFolder
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Pair, Standings, compare, decide
 
 SIDES = ("first", "second")
 HEADS = ("metric", "view", "first", "second", "difference", "95 % interval", "p (Holm)", "verdict")
@@ -114,63 +114,86 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
 
 
 def differences(one: Side, other: Side, run: Path, names: tuple[str, str] = SIDES) -> tuple[Difference, ...]:
-    """Return every metric that both have: over all views, and below it in each view.
+    """Return every metric that both have, see `compare_pairs`."""
+    return compare_pairs({"": (one, other)}, run, {"": names})[""]
+
+
+def compare_pairs(
+    pairs: Mapping[str, tuple[Side, Side]], run: Path, names: Mapping[str, tuple[str, str]] | None = None
+) -> dict[str, tuple[Difference, ...]]:
+    """Compare pairs in every metric that both sides have: over all views, and below it in each view.
 
     Args:
-        other: the second.
-        names: what verdicts call the two.
+        pairs: name of a pair -> its first and second side.
+        run: folder whose metrics are compared.
+        names: name of a pair -> what verdicts call its sides; `SIDES` by default.
+
+    Reading:
+        Two methods of one run are judged as its tables judge them. Means of different runs are one family, over all pairs and
+        metrics; single views are another.
     """
+    compared = {name: _compare_sides(*sides, run, (names or {}).get(name, SIDES)) for name, sides in pairs.items()}
+    places = [(name, at) for name, rows in compared.items() for at in range(len(rows))]
+    for is_of_view in (False, True):
+        open_ = {
+            (name, at): compared[name][at].comparison
+            for name, at in places
+            if bool(compared[name][at].view) == is_of_view and compared[name][at].comparison.corrected is None
+        }
+        for (name, at), comparison in decide(open_).items():
+            compared[name][at] = replace(compared[name][at], comparison=comparison)
+    return {name: tuple(rows) for name, rows in compared.items()}
+
+
+def _compare_sides(one: Side, other: Side, run: Path, names: tuple[str, str]) -> list[Difference]:
+    """Return the differences of two sides: those that the tables of a run have decided, and others that nobody has yet."""
+    measured, is_one_run = read_scores(run), one.results is other.results
     parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
     both = replace(one.results, table=pd.concat(parts, ignore_index=True))
+    dataset, labels = str(both.table["dataset"].iloc[0]), (one.label, other.label) if is_one_run else SIDES
+    standings = _standings(measured, one.results if is_one_run else both, labels, dataset)
     set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (one, other)])
-    dataset = str(both.table["dataset"].iloc[0])
-    notes = read_metric_notes(run)
-    shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
-    having = {metric: both.table[both.table["metric"] == metric]["method"].nunique() == len(SIDES) for metric in shared}
-    whole = {metric: compare(both, metric, *SIDES, dataset) for metric in shared if having[metric]}
     means = both.summary().loc[dataset]
-    is_one_run = one.results is other.results
-    judged, labels = (one.results, (one.label, other.label)) if is_one_run else (both, SIDES)
-    own = read_json(run / METHODS_FILE).get("ours", ()) if is_one_run else ()
     rows: list[Difference] = []
-    for metric, comparison in decide(whole, higher_is_better=True).items():  # the verdict knows each metric's direction
-        note = notes[metric]
-        judgement = judge_metric(judged, note, dataset, own=own)
-        why = set_aside or _named(names, map(judgement.unranked.get, labels))
+    for metric, note in measured.metrics.items():
+        if both.table[both.table["metric"] == metric]["method"].nunique() < len(SIDES):
+            continue
+        pair, unranked = Pair(metric, *labels), standings.judgements[metric].unranked
+        comparison = (
+            standings.decide([pair])[pair] if is_one_run else compare(both, metric, *SIDES, dataset, note.higher_is_better)
+        )
         first, second = (float(means[metric][side, ""]) for side in SIDES)
-        rows.append(Difference(note, "", first, second, _no_bolder(comparison, judgement, labels), why, names))
+        why = set_aside or _named(names, map(unranked.get, labels))
+        rows.append(Difference(note, "", first, second, comparison, why, names))
         rows += [replace(row, set_aside=why, names=names) for row in _per_view(both, dataset, note)]
-    return tuple(rows)
+    return rows
+
+
+def _standings(measured: MeasuredRun, results: Results, labels: Collection[str], dataset: str) -> Standings:
+    """Return the judgements of the table that two methods are in; those of different runs are in none but their own."""
+    shown = {*measured.labels}
+    if {*labels} <= shown:
+        return judge_runs([measured], without_labels(results, {*results.row_labels} - shown))[dataset]
+    return judge_runs([replace(measured, ours=measured.ours & {*results.row_labels})], results)[dataset]
 
 
 def _named(names: Sequence[str], reasons: Iterable[str | None]) -> str:
     return "; ".join(f"{name} {reason}" for name, reason in zip(names, reasons, strict=True) if reason)
 
 
-def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[str]) -> Comparison:
-    """Return the comparison of two methods; where either is the best of its table, by no smaller a p value than there."""
-    found = next((judgement.comparisons.get(label) for label in labels if label != judgement.best), None)
-    if judgement.best not in labels or found is None or comparison.outcome not in ("better", "worse"):
-        return comparison
-    outcome = comparison.outcome if found.outcome in ("better", "worse") else found.outcome
-    corrected = max(found.corrected or 0.0, comparison.corrected or 0.0)
-    return replace(comparison, corrected=corrected, outcome=outcome, short=found.short)
-
-
 def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
-    """Return the same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
+    """Return the same in each test view alone, undecided; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.protocol_values.get("views", {}).get("test", means.columns)
-    # The values of one view as if it were the whole rig, so that what is drawn anew is time alone.
-    alone = {
-        str(view): replace(both, table=both.table[both.table["view"] == view].assign(view=None))
-        for view in test_views
-        if view in means.columns
-    }
-    compared = {view: compare(results, note.name, *SIDES, dataset) for view, results in alone.items()}
-    numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
-    decided = decide(compared, note.higher_is_better)
-    return [Difference(note, view, numbers[view][0], numbers[view][1], comparison) for view, comparison in decided.items()]
+    rows = []
+    for view in test_views:
+        if view in means.columns:
+            # The values of one view as if it were the whole rig, so that what is drawn anew is time alone.
+            alone = replace(both, table=both.table[both.table["view"] == view].assign(view=None))
+            comparison = compare(alone, note.name, *SIDES, dataset, note.higher_is_better)
+            first, second = means[view].loc[[(side, "") for side in SIDES]].astype(float)
+            rows.append(Difference(note, str(view), first, second, comparison))
+    return rows
 
 
 def what_else_differs(first: Path, second: Path) -> list[str]:
@@ -268,10 +291,8 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
         raise ResultsError(f"wanted two run folders, got {first} and {second}; for two methods of one run add --run RUN")
     pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
-    by_pair = {
-        one.name if run is None else f"{one.name} against {other.name}": differences(one, other, run or Path(first))
-        for one, other in pairs
-    }
+    named = {one.name if run is None else f"{one.name} against {other.name}": (one, other) for one, other in pairs}
+    by_pair = compare_pairs(named, run or Path(first))
     if out is not None:
         write_text(out, differences_csv(by_pair))
     parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in by_pair.items()]

@@ -25,10 +25,11 @@ from ggvs_eval.reports.model.table import (
 )
 from ggvs_eval.reports.section import Report, SectionContent, tables_of_runs
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
+from ggvs_eval.reports.tables.verdict import judge_runs
 from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, judge_against
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, Pair
 
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
@@ -197,20 +198,21 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     ours = [label for label in labels if label in runs[0].ours and label not in fitted]
     if not fitted or not ours:
         return ()
-    notes = list(runs[0].metrics.values())
+    notes, standings = list(runs[0].metrics.values()), judge_runs(runs, results)
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
         cells: dict[str, list[Cell]] = {label: [] for label in fitted}
-        for note in notes:
-            found = judge_against(results, note.name, note.higher_is_better, dataset, ours[0], fitted)
-            for label, of_label in cells.items():
-                of_label.append(difference_cell(note, found.get(label), results.why_absent(note.name, label)))
+        decided = standings[dataset].decide(Pair(note.name, label, ours[0]) for note in notes for label in fitted)
+        for label, of_label in cells.items():
+            for note in notes:
+                comparison = decided.get(Pair(note.name, label, ours[0]))
+                of_label.append(difference_cell(note, comparison, results.why_absent(note.name, label)))
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
         name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
             f"Each fitted method minus {name}, which uses {k} views and no future frames; "
             f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
-            f"bold: significantly, among all fits. {SHORT_MEANS}"
+            f"bold: significantly, over all methods and metrics together. {SHORT_MEANS}"
         )
         rows = tuple(Row(runs[0].name(label), tuple(of_label), label=label) for label, of_label in cells.items())
         tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
@@ -244,8 +246,9 @@ def budget_tables(run: MeasuredRun) -> tuple[Table, ...]:
 
 def _against(run: MeasuredRun, reference: str, labels: Collection[str]) -> dict[str, Comparison]:
     """Return the methods judged against one of them in PSNR."""
-    note, dataset = run.metrics["PSNR"], str(run.results.table["dataset"].iloc[0])
-    return judge_against(run.results, note.name, note.higher_is_better, dataset, reference, labels)
+    (standings,) = judge_runs([run], run.results).values()
+    decided = standings.decide(Pair("PSNR", label, reference) for label in labels if label != reference)
+    return {pair.first: comparison for pair, comparison in decided.items()}
 
 
 def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:

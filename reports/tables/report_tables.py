@@ -20,16 +20,15 @@ from ggvs_eval.reports.model.measured import (
     PARTIAL,
     MeasuredRun,
     MetricNote,
-    captured_values,
     note_groups,
     reference_remarks,
     reference_rows,
     shared_references,
 )
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, join_tables, measured_cell, rank
-from ggvs_eval.reports.tables.verdict import certainty_captions, judge_metric
+from ggvs_eval.reports.tables.verdict import certainty_captions, judge_runs
 from ggvs_eval.results import Results, label_of, without_labels
-from ggvs_eval.statistics.paired import Judgement
+from ggvs_eval.statistics.paired import Judgement, Standings
 
 OWN_PACKAGE = "ggvs-eval"  # what its version changes is measured again
 OWN_TRUTH_MEANS = (
@@ -39,14 +38,17 @@ OWN_TRUTH_MEANS = (
 INTERCHANGE = (
     "A test view is excluded from its own rendering only and can be a source of others; set `views.sources` to forbid it."
 )
-ALONG_PATH = "path"  # table whose reference row is the captured images
 Published = Callable[[str, str, Sequence[str], Sequence[MeasuredRun]], tuple[Sequence[Row], Sequence[str]]]
 # Of the key, data set, metrics and runs of a table: grey rows, and words on their source or why there are none.
 PUBLISHED_VALUES: Registry[Published] = Registry("published values", built_in.PUBLISHED_VALUES)
 
 
 def main_tables(
-    runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = (), with_grey: bool = True
+    runs: Sequence[MeasuredRun],
+    results: Results,
+    columns: Sequence[str] = (),
+    with_grey: bool = True,
+    standings: Mapping[str, Standings] | None = None,
 ) -> tuple[Table, ...]:
     """Return the quality and consistency per dataset: means over frames, then views, then scenes.
 
@@ -54,6 +56,7 @@ def main_tables(
         runs: at least one, all under one protocol.
         columns: metrics that make a single table, in this order; by default all of them, in separate tables.
         with_grey: also with rows that belong to no method, and published ones.
+        standings: data set -> judgements, where they are known already.
 
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.
@@ -66,32 +69,26 @@ def main_tables(
         near = did_you_mean(unknown[0], known)
         raise ResultsError(f"columns: {', '.join(unknown)} was not measured; use some of {', '.join(known)}{near}")
     groups = note_groups([note for note in runs[0].metrics.values() if not columns or note.name in columns])
-    summary = results.summary()
+    summary, standings = results.summary(), standings or judge_runs(runs, results)
     tables = []
     for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
-        tables += [_main_table(dataset, notes, runs, summary, results, with_grey) for notes in groups.values()]
+        tables += [_main_table(standings[dataset], notes, runs, summary, with_grey) for notes in groups.values()]
     return join_tables(tables, columns) if columns else tuple(tables)
 
 
 def _main_table(
-    dataset: str,
+    standings: Standings,
     notes: tuple[MetricNote, ...],
     runs: Sequence[MeasuredRun],
     summary: pd.DataFrame,
-    results: Results,
     with_grey: bool,
 ) -> Table:
+    results, dataset = standings.results, standings.dataset
     key, title, metrics = notes[0].group, notes[0].group_title, tuple(note.name for note in notes)
     columns = tuple(metric_column(note) for note in notes)
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
     references = shared_references(runs) if with_grey else ()
-    captured = captured_values(references) if key == ALONG_PATH else {}
-    own = frozenset().union(*(run.ours for run in runs))
-    judgements = {
-        note.name: judge_metric(results, note, dataset, captured.get(note.name), own)
-        for note in notes
-        if note.name in here and here[note.name].notna().any()
-    }
+    judgements = {name: standings.judgements[name] for name in metrics if name in standings.judgements}
     rows = measured_rows(runs, here, metrics, notes, results, judgements)
     marked = [judgements[name].marked if name in judgements else () for name in metrics]
     grey, remarks = [*reference_rows(references, key, notes)], list[str]()

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import cast
 
 from ggvs_eval.progress import counted
-from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
+from ggvs_eval.reports.model.measured import MeasuredRun, captured_values, shared_references
 from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table, format_value, signed, spread_text
 from ggvs_eval.results import Results, without_labels
-from ggvs_eval.statistics.intervals import LEVEL, intervals
-from ggvs_eval.statistics.paired import Comparison, Judgement, judge
+from ggvs_eval.statistics.intervals import LEVEL
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, Outcome, Pair, Ranking, Standings, judge
+from ggvs_eval.statistics.pooled import pool_table
 
 EVENNESS = ("SDT", "SDV")  # deviations of the error, which are small too where all frames or views are equally bad
 COMPARABLE_DB = 1.0  # PSNR behind the best within which evenness says something of quality
@@ -21,21 +22,48 @@ PLAIN = {
     "SSIM": "how similar each frame is in structure to the recorded one",
     "LPIPS": "how different each frame looks from the recorded one",
 }
+ALONG_PATH = "path"  # table whose reference row is the captured images
 RIM = 4.0  # per cent of the drawing that stay free on either side
 
 
-def judge_metric(
-    results: Results, note: MetricNote, dataset: str, captured: float | None = None, own: Collection[str] = ()
-) -> Judgement:
-    """Judge a metric, see `ggvs_eval.statistics.paired.judge`; by SDT and SDV only what is within 1 dB of the best PSNR."""
-    incomparable: dict[str, str] = {}
-    if note.name.partition("_")[0] in EVENNESS:
-        whole = without_labels(results, results.set_aside)
-        psnr_db = {label: one.value for label, one in intervals(whole, "PSNR", dataset).items() if not math.isnan(one.value)}
-        least_db = max(psnr_db.values(), default=math.inf) - COMPARABLE_DB
-        why = f"is not known to be within {COMPARABLE_DB:g} dB of the best PSNR, and evenly bad frames are stable too"
-        incomparable = {label: why for label in dict.fromkeys(whole.row_labels) if not psnr_db.get(label, -math.inf) >= least_db}
-    return judge(results, note.name, note.higher_is_better, dataset, captured=captured, own=own, incomparable=incomparable)
+def judge_runs(runs: Sequence[MeasuredRun], results: Results) -> dict[str, Standings]:
+    """Judge every metric of some runs, shown or not, see `ggvs_eval.statistics.paired.judge`: a data set's are one family.
+
+    Reading:
+        By SDT and SDV only methods within 1 dB of the best PSNR are ranked.
+    """
+    own = frozenset().union(*(run.ours for run in runs))
+    captured = captured_values(shared_references(runs))
+    whole = without_labels(results, results.set_aside)
+    standings = {}
+    for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
+        uneven = _not_comparable(whole, dataset)
+        rankings = []
+        for note in runs[0].metrics.values():
+            reasons = uneven if note.name.partition("_")[0] in EVENNESS else {}
+            reference = captured.get(note.name) if note.group == ALONG_PATH else None
+            rankings.append(Ranking(note.name, note.higher_is_better, reference, reasons))
+        standings[dataset] = judge(results, rankings, dataset, own)
+    return standings
+
+
+def describe_outcome(runs: Sequence[MeasuredRun], results: Results, pair: tuple[str, str, str]) -> str:
+    """Return how two methods compare in words; empty if the first is better or worse.
+
+    Args:
+        pair: metric, first and second label.
+    """
+    decided = judge_runs(runs, results)[runs[0].protocol.dataset].decide([Pair(*pair)])
+    outcomes: list[Outcome] = [comparison.outcome for comparison in decided.values()] or ["untested"]
+    return "" if outcomes[0] in ("better", "worse") else OUTCOMES[outcomes[0]]
+
+
+def _not_comparable(results: Results, dataset: str) -> dict[str, str]:
+    """Return the methods of which evenness says nothing, as they are not known to be nearly as good as the best."""
+    psnr_db = {label: value for label, value in pool_table(results, "PSNR", dataset).values.items() if not math.isnan(value)}
+    least_db = max(psnr_db.values(), default=math.inf) - COMPARABLE_DB
+    why = f"is not known to be within {COMPARABLE_DB:g} dB of the best PSNR, and evenly bad frames are stable too"
+    return {label: why for label in dict.fromkeys(results.row_labels) if not psnr_db.get(label, -math.inf) >= least_db}
 
 
 @dataclass(frozen=True)
@@ -96,7 +124,7 @@ def certainty_captions(
     captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []
     captions += [SHORT_MEANS] if any(one.is_short for one in bounded) else []
     if any(judgement.marked for judgement in judgements.values()):
-        brief.append(f"Bold: best, or not significantly worse (paired, {level}).")
+        brief.append(f"Bold: best, or not significantly worse (paired, {level} for all methods and metrics together).")
     said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, one in judgements.items():
         if one.rivals and not one.marked:

@@ -148,7 +148,7 @@ def _values(shape: RunShape, label: str) -> list[Sequence[object]]:
         views: Sequence[str | None] = (None,) if name == "SDV" else shape.views
         frames = shape.frames.numbers
         indices = [-1] if name in PER_SEQUENCE else [*frames][1 if name == "TCC" else 0 :]
-        rows += [(*head, view, index, name, size * (1 + 0.05 * random.standard_normal())) for view in views for index in indices]
+        rows += [(*head, view, index, name, size * (1 + 0.005 * random.standard_normal())) for view in views for index in indices]
     return rows
 
 

@@ -14,7 +14,7 @@ from ggvs_eval.reports.tables.compare_runs import Side, differences
 from ggvs_eval.reports.tables.costs import budget_tables, price_tables
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_latex, to_markdown
-from ggvs_eval.reports.tables.verdict import evaluate_verdict, judge_metric, leaders
+from ggvs_eval.reports.tables.verdict import evaluate_verdict, judge_runs, leaders
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from helpers.run_folders import RunShape, write_run
@@ -149,17 +149,20 @@ def test_every_place_says_the_same(tmp_path):
     assert set(evenness) == set(judgements["SDT"].unranked)
 
 
-def test_even_badness_wins_no_metric_of_evenness():
+def test_even_badness_wins_no_metric_of_evenness(tmp_path):
     """A method 3 dB behind is not ranked in SDT and SDV, however even, nor is one without a PSNR; L1 ranks both."""
     base = autoregressive(np.random.default_rng(4), 6, 60, 0.5) + np.arange(6.0)[:, None] + 10.0
     rows = make_spread_rows("good", base) + make_spread_rows("bad", 10.0 + 0.3 * (base - 10.0))
     rows += make_rows("good", "PSNR", 30.0 + 0.1 * base)
+    notes = {metric: MetricNote(metric, "", False, "", "", "", "", None) for metric in ("SDT", "SDV", "L1")}
+    run = replace(read_run(write_equals(tmp_path / "run", 3, 2).folder.root), metrics=notes, ours=frozenset())
     for results in (make_results(rows + make_rows("bad", "PSNR", 27.0 + 0.1 * base)), make_results(rows)):
+        judgements = judge_runs([run], results)["Demo"].judgements
         for metric in ("SDT", "SDV"):
-            judgement = judge_metric(results, MetricNote(metric, "", False, "", "", "", "", None), "Demo")
+            judgement = judgements[metric]
             assert (judgement.best, judgement.winner, list(judgement.unranked)) == ("good", "", ["bad"])
             assert "within 1 dB of the best PSNR" in judgement.unranked["bad"]
-        assert judge_metric(results, MetricNote("L1", "", False, "", "", "", "", None), "Demo").unranked == {}
+        assert judgements["L1"].unranked == {}
 
 
 def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):

@@ -318,7 +318,8 @@ def test_intervals_stand_in_every_format(whole_run, report):
         spread = rf"$\pm$ {half.removesuffix(SHORT)}"
         spread = rf"\textcolor{{gray}}{{{spread}$\dagger$}}" if interval.is_short else spread
         assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize {spread}}}" in latex
-    for said in ("given this scene, these 2 views.", "Bold: best, or not significantly worse (paired, 95 %)."):
+    bold_means = "Bold: best, or not significantly worse (paired, 95 % for all methods and metrics together)."
+    for said in ("given this scene, these 2 views.", bold_means):
         assert said in markdown
         assert said.replace("%", r"\%") in latex
         assert any(said in text for text in page.texts)

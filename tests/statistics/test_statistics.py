@@ -30,7 +30,7 @@ def coverage(make, truth: float, number=pool_mean, times: int = 250) -> float:
     """How often the 95 % interval of simulated matrices holds the truth."""
     generator = np.random.default_rng(7)
     spreads = (measure_spread([make_scene(values, number(values))]) for values in (make(generator) for _ in range(times)))
-    return float(np.mean([abs(spread.value - truth) <= spread.half_width(0.95) for spread in spreads]))
+    return float(np.mean([abs(spread.value - truth) <= spread.half_width() for spread in spreads]))
 
 
 def table_interval(rows, metric: str, label: str = "ours", ddof: int = 1) -> Interval:
@@ -143,7 +143,7 @@ def test_deviations_over_views_cover_and_deviations_over_time_say_why_not(matrix
     spreads = [
         measure_spread([replace(make_scene(v, pool_sdv(v)), views_given=True)]) for v in (simulate(generator) for _ in range(250))
     ]
-    assert 0.91 <= np.mean([abs(spread.value - expected) <= spread.half_width(0.95) for spread in spreads]) <= 0.98
+    assert 0.91 <= np.mean([abs(spread.value - expected) <= spread.half_width() for spread in spreads]) <= 0.98
     rows = make_spread_rows("ours", matrix)
     assert (table_interval(rows, "SDT").low, table_interval(rows, "SDV").low is None) == (None, False)
     assert "too low coverage" in table_interval(rows, "SDT").note

@@ -9,9 +9,16 @@ import pytest
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import without_labels
 from ggvs_eval.statistics.intervals import intervals
-from ggvs_eval.statistics.paired import compare, holm, judge
+from ggvs_eval.statistics.paired import Judgement, Pair, Ranking, compare, holm
+from ggvs_eval.statistics.paired import judge as judge_table
 from helpers.refusals import refused
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
+
+
+def judge(results, metric, higher_is_better, dataset, own=(), incomparable=None) -> Judgement:
+    """The judgement of a table of one metric."""
+    ranking = Ranking(metric, higher_is_better, incomparable=incomparable or {})
+    return judge_table(results, [ranking], dataset, own).judgements[metric]
 
 
 def make_shared(seed: int = 0, views: int = 6, frames: int = 60):
@@ -90,7 +97,7 @@ def make_slow_pair(better_db: float):
 def test_a_clip_too_short_for_its_correlation_names_no_winner():
     """A difference that drifts through the clip keeps its numbers; where the drift may be all of it none wins and none ties."""
     slow = make_slow_pair(0.3)
-    found = compare(slow, "PSNR", "a", "b", "Demo")
+    found = judge(slow, "PSNR", True, "Demo").comparisons["b"].reversed
     assert found.difference == pytest.approx(0.3, abs=0.01)
     assert found.low < found.difference < found.high
     assert found.p_value < 0.05
@@ -191,5 +198,48 @@ def test_unknown_names_are_refused(results):
     """A method, metric or data set that has no values is named."""
     with refused(ResultsError, "PSNR of x", "Demo", "a, b+fast, c"):
         compare(results, "PSNR", "a", "x", "Demo")
-    with refused(ResultsError, "SSIM", "Demo"):
-        judge(results, "SSIM", True, "Demo")
+    assert judge_table(results, [Ranking("SSIM", higher_is_better=True)], "Demo").judgements == {}
+
+
+METRICS = tuple(f"metric {at}" for at in range(7))
+
+
+def make_equals(generator, labels, metrics, views, frames, correlation):
+    """Methods that are equal but for correlated errors, in metrics whose errors have nothing in common."""
+    rows = []
+    for metric in metrics:
+        shared = generator.standard_normal((views, 1))
+        for label in labels:
+            rows += make_rows(label, metric, shared + 0.3 * autoregressive(generator, views, frames, correlation))
+    return make_results(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("frames", "correlation"), [(12, 0.9), (24, 0.0), (24, 0.8), (60, 0.95)])
+def test_of_equal_methods_no_metric_of_a_table_has_a_winner(frames, correlation):
+    """Two equal methods in seven metrics: the table or `compare` names a winner in 5 % of cases, and what chance adds."""
+    generator, tables, winners = np.random.default_rng(frames), 50, 0
+    rankings = [Ranking(metric, higher_is_better=True) for metric in METRICS]
+    for _ in range(tables):
+        results = make_equals(generator, "ab", METRICS, views=3, frames=frames, correlation=correlation)
+        standings = judge_table(results, rankings, "Demo")
+        pairs = standings.decide(Pair(metric, "a", "b") for metric in METRICS)
+        called = {pair.metric for pair, comparison in pairs.items() if comparison.outcome in ("better", "worse")}
+        assert called == {metric for metric, judgement in standings.judgements.items() if judgement.winner}
+        winners += bool(called)
+    assert winners <= 5
+
+
+def test_a_table_is_one_family_and_what_it_says_stays():
+    """A p value is corrected for all metrics and methods; a pair that the table has not compared is decided with all of it."""
+    results = make_equals(np.random.default_rng(1), "abc", METRICS[:2], views=3, frames=24, correlation=0.5)
+    standings = judge_table(results, [Ranking(metric, higher_is_better=True) for metric in METRICS[:2]], "Demo")
+    assert len(standings.family) == 4
+    smallest = min(standings.family.values(), key=lambda comparison: comparison.p_value)
+    assert smallest.corrected == min(1.0, 4 * smallest.p_value)
+    best = standings.judgements[METRICS[0]].best
+    first, second = (label for label in "abc" if label != best)
+    known, turned, further = Pair(METRICS[0], first, best), Pair(METRICS[0], best, first), Pair(METRICS[0], first, second)
+    decided = standings.decide([known, turned, further])
+    assert decided[known] == standings.family[known] == decided[turned].reversed
+    assert decided[further].corrected >= decided[further].p_value
