@@ -42,9 +42,15 @@ def attach_depth(capture: Capture, given: GivenDepth) -> Capture:
             raise CaptureError(
                 f"{folder}: wanted {capture.n_frames} depth maps of {name}, one per frame, got {source.n_frames}; add the others"
             )
+    longer = [name for name, source in maps.items() if source.n_frames > capture.n_frames]
     points = matched_points(capture)
     pairs = {name: _pairs(capture.camera(name), source, points) for name, source in maps.items()}
     factor, notes = _fit(folder, given, pairs, maps)
+    if longer:
+        notes.append(
+            f"{folder}: {maps[longer[0]].n_frames} depth maps of {longer[0]} for {capture.n_frames} frames: the first ones are "
+            f"used, {maps[longer[0]].files[0].name} for frame 0; if the frames begin later, give a folder that begins with them"
+        )
     extras = capture.extras or tuple(Extras() for _ in capture.cameras)
     attached = tuple(
         replace(each, depth=replace(maps[name], scale=factor)) if name in maps else each

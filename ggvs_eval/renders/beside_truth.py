@@ -35,6 +35,7 @@ EASYVOLCAP_FOLDER = "RENDER"
 # 3DGS and its kin, nerfstudio's `ns-render dataset`, NerfBaselines.
 PAIRS = (("renders", "gt"), ("rgb", "gt-rgb"), ("color", "gt-color"))
 OTHER_SPLITS = ("train", "video")  # of 3DGS and 4DGS: views that were trained on, and a path
+ONLY_VIEW = "view"  # name of that of a flat list without a capture
 NERFBASELINES = "info.json"  # next to color/; then gt-color/ may be absent
 
 
@@ -137,6 +138,23 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
         shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
         return f"several sets; give one of {', '.join(str(place.relative_to(path)) for place in shown)}"
     return None
+
+
+def truth_pictures(path: Path) -> dict[str, list[Path]]:
+    """Return view -> copies of the truth next to renders: by folders of it, or of a flat list, which is one view.
+
+    Raises:
+        RenderError: no renders next to copies of the truth, or several sets of them.
+    """
+    pairs = [pair for pair in _pairs(path) if list_files_below(pair.truth)] if path.is_dir() else []
+    if len(pairs) != 1:
+        wanted = ", ".join(f"{rendered}/ next to {truth}/" for rendered, truth in PAIRS)
+        raise RenderError(f"{path}: {len(pairs)} sets of renders with their truth ({wanted}); give a folder with one")
+    by_view: dict[str, list[Path]] = {}
+    for file in _by_key(pairs[0].truth).values():
+        view = file.parent.relative_to(pairs[0].truth).as_posix().replace("/", "-")
+        by_view.setdefault(ONLY_VIEW if view == "." else view, []).append(file)
+    return by_view
 
 
 def flat_set_files(path: Path, request: FrameRequest) -> list[Path]:

@@ -37,6 +37,7 @@ class FrameRequest:
         cameras: names of all cameras, in the capture's order.
         truth_root: folder of the captured frames, ``<view>/<frame>.png``.
         first_frame: number of the protocol's first frame, given by the user; None to infer it.
+        fps: frames per second of the capture; 0 if it is not known.
     """
 
     label: str
@@ -47,6 +48,7 @@ class FrameRequest:
     cameras: tuple[str, ...]
     truth_root: Path
     first_frame: int | None = None
+    fps: float = 0.0
 
     def truth(self, view: str, frame: int) -> Image8:
         """Return the captured frame, (H, W, 3) uint8 RGB."""
@@ -102,7 +104,15 @@ def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> Fr
             raise RenderError(f"{file}: wanted a captured frame to compare with, got none; run `ggvs-eval prepare`")
         sizes[view] = read_header(file).size
     return FrameRequest(
-        label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth", first_frame
+        label=label,
+        views=views,
+        frames=frames,
+        n_frames=record["n_frames"],
+        sizes=sizes,
+        cameras=tuple(record["cameras"]),
+        truth_root=run.root / "truth",
+        first_frame=first_frame,
+        fps=record.get("fps", 0.0),
     )
 
 

@@ -33,6 +33,7 @@ ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedE
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ARRAY_SUFFIXES = (".npy", ".npz")
 OWN_RENDERS, OWN_TRUTH = "renders", "gts"  # members of an archive of renders with their truth, as 4DGV publishes them
+RATE_TOLERANCE = 0.005  # by which stated rates may differ: 29.97 is 30
 VIDEO_NOTE = "decoded from video; coding errors count against the method"
 ARRAY_NOTE = "written to PNG from an array"
 
@@ -289,8 +290,30 @@ def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> Render
     del is_temporary  # decoded either way
     by_view = _one_each(path, VIDEO_SUFFIXES, request)
     streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
+    _require_rate(path, {view: video for view, (_, video) in streams.items()}, request)
     counted = {view: (name, video, video.n_frames) for view, (name, video) in streams.items()}
     return _found(path, counted, _unexpected_files(path, VIDEO_SUFFIXES, request), VIDEO_NOTE, request)
+
+
+def _require_rate(path: Path, videos: Mapping[str, VideoFrames], request: FrameRequest) -> None:
+    """Refuse videos whose frames are other instants than the capture's.
+
+    Reading:
+        Programs write any rate into a video of one frame per instant. So the rate counts only where the number of frames is
+        neither that of the protocol nor that of the capture.
+
+    Raises:
+        RenderError: another rate and another number of frames.
+    """
+    for view, video in videos.items():
+        differs = request.fps and video.fps and abs(video.fps / request.fps - 1) > RATE_TOLERANCE
+        if differs and video.n_frames not in (len(request.frames), request.n_frames):
+            rates = f"{video.fps:.4g} frames per second and {video.n_frames} frames, the capture {request.fps:.4g}"
+            remedy = f"-vf fps={request.fps:.6g} -frames:v {len(request.frames)} -crf 0"
+            raise RenderError(
+                f"{path}: the video of {view} has {rates} and {request.n_frames}, so that frame k is not instant k; render the "
+                f"capture's instants, or repeat the nearest frames: ffmpeg -i {video.path.name} {remedy} OUT/{video.path.name}"
+            )
 
 
 def refuse_arrays(path: Path, request: FrameRequest) -> str | None:

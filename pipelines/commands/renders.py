@@ -25,6 +25,7 @@ class RendersOptions:
         capture: rendered capture.
         protocol: protocol (.toml or packaged name); fitted to the capture by default.
         run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
+        with_truth: the renders come with their reference (.npz of `renders` and `gts`, or renders/ and gt/); no capture.
         first_frame: number of the protocol's first frame in the file names, if ambiguous.
         reading: capture reading.
         jobs: parallel processes, at least 1.
@@ -33,6 +34,7 @@ class RendersOptions:
     capture: Path | None = None
     protocol: str | None = None
     run: Path | None = None
+    with_truth: bool = False
     first_frame: int | None = None
     reading: CaptureFlags = CAPTURE_DEFAULTS
     jobs: Jobs = ONE_PER_CORE
@@ -45,6 +47,7 @@ class RendersOptions:
             yield folder, folder.labels()
             return
         from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, require_there, run_for
+        from ggvs_eval.pipelines.run.own_truth import run_with_truth
 
         require_there(named := named_renders((str(renders),)))
         capture, protocol, run = self.capture, self.protocol, self.run
@@ -52,8 +55,10 @@ class RendersOptions:
         if run is None and protocol is None and scored.is_file():
             protocol = str(scored)
         with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
-            root = Path(scratch) / "run" if run is None and capture else run
-            with run_for(root, partial(self.reading.open, capture) if capture else None, protocol, self.jobs) as folder:
+            root = Path(scratch) / "run" if run is None and (capture or self.with_truth) else run
+            opened = partial(self.reading.open, capture) if capture else None
+            opening = run_with_truth(root, named, protocol) if self.with_truth else run_for(root, opened, protocol, self.jobs)
+            with opening as folder:
                 ((label, path),) = named.items()
                 record = import_renders(folder, label, path, allow_partial, self.jobs, self.first_frame, link=run is None)
                 for note in record["notes"]:

@@ -137,7 +137,8 @@ def score(
         link: link PNG files instead of copying them; the originals must stay.
         device: device of expensive metrics (LPIPS, SSIM, TCC, STED, ...); rounding differs by device.
         first_frame: number of the protocol's first frame in your file names, if ambiguous.
-        with_truth: score .npz files (`renders`, `gts`, (T, H, W, 3)) against their own reference, without capture.
+        with_truth: score renders against their own reference, without capture: .npz files (`renders`, `gts`, (T, H, W, 3)), or
+            folders of renders/ and gt/.
         reading: capture reading.
         jobs: parallel processes, at least 1.
     """

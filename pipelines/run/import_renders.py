@@ -258,7 +258,7 @@ def run_for(
     asked = asked_protocol(protocol) if protocol else None
     if root is None and open_capture is None:
         raise ProtocolError(
-            "wanted a run folder, or --capture CAPTURE to make one, got neither; for archives of renders and truth: --with-truth"
+            "wanted a run folder, or --capture CAPTURE to make one, got neither; if renders come with their truth: --with-truth"
         )
     capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))

@@ -1,11 +1,13 @@
-"""Renders that come with their truth become a run without a capture: archives as papers publish them.
+"""Renders that come with their truth become a run without a capture: archives as papers publish them, or folders.
 
-The form, by the card of 4DGV's evaluation (TOG 44(4), 2025): one ``.npz`` per view or scene with ``renders`` and ``gts``,
+A folder holds ``renders/`` and ``gt/`` with pictures of equal names, see `ggvs_eval.renders.beside_truth`. The form of an
+archive, by the card of 4DGV's evaluation (TOG 44(4), 2025): one ``.npz`` per view or scene with ``renders`` and ``gts``,
 (T, H, W, 3) as float in [0, 1] or uint8, and perhaps ``metrics``, one line per frame, whose order it does not say.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from ggvs_eval.pipelines.run.claim import require_protocol
 from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, asked_protocol, run_for
 from ggvs_eval.progress import counted, track
 from ggvs_eval.protocol import AGREEING, OF_OWN_TRUTH, CameraPath, Frames, Measurement, Protocol, Synthesis, Views
+from ggvs_eval.renders.beside_truth import truth_pictures
 from ggvs_eval.renders.truth_match import difference
 from ggvs_eval.renders.view_streams import OWN_RENDERS, OWN_TRUTH, ArrayStack, npz_members, read_small_array
 from ggvs_eval.results import Results, split_label
@@ -41,7 +44,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
         RenderError: no archives with their truth, or truths that differ.
     """
     if not renders:
-        raise RenderError("wanted --renders NAME=ARCHIVE.npz with --with-truth, got none; name the archives")
+        raise RenderError("--with-truth: no renders are named; give --renders NAME=PATH, an .npz or a folder of renders/ and gt/")
     sets = {label: own_truths(path) for label, path in renders.items()}
     first, stacks = next(iter(sets.items()))
     for label, others in sets.items():
@@ -57,7 +60,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
     measured = asked_protocol(protocol).measurement if protocol else Measurement(OF_OWN_TRUTH, ceilings=False)
     with run_for(root or SCORES_ROOT / first, None, None, 1) as run:
         is_new = not run.protocol_file.is_file()
-        dataset = renders[first].stem if is_new else run.protocol().dataset
+        dataset = renders[first].resolve().stem if is_new else run.protocol().dataset
         views = Views(tuple(stacks), "those of the archives")
         terms = Protocol(NAME, dataset, views, frames, Synthesis(), measured, CameraPath(0))
         require_protocol(run, terms)
@@ -71,17 +74,37 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
         yield run
 
 
-def own_truths(path: Path) -> dict[str, ArrayStack]:
-    """Return view -> the truth in an archive, or in each of a folder's.
+@dataclass(frozen=True)
+class Pictures:
+    """Truth of a view as pictures, in order."""
+
+    path: Path
+    files: tuple[Path, ...]
+
+    @property
+    def name(self) -> str:
+        """Folder, for messages."""
+        return str(self.files[0].parent)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of pictures."""
+        return len(self.files)
+
+    def frames(self, start: int, stop: int) -> Iterator[np.ndarray]:
+        """Yield the frames start <= t < stop one by one, RGB (H, W, 3), uint8."""
+        return map(read_image, self.files[start:stop])
+
+
+def own_truths(path: Path) -> dict[str, ArrayStack | Pictures]:
+    """Return view -> the truth in an archive, in each of a folder's, or next to a folder of renders.
 
     Raises:
-        RenderError: no archive, or one without both arrays.
+        RenderError: neither, or an archive without both arrays.
     """
     files = sorted(path.glob("*.npz")) if path.is_dir() else [path]
     if not files or not path.exists():
-        raise RenderError(
-            f"{path}: wanted an .npz archive with {OWN_RENDERS} and {OWN_TRUTH}, or a folder of them, found none; check it"
-        )
+        return {view: Pictures(path, tuple(pictures)) for view, pictures in truth_pictures(path).items()}
     for file in files:
         if file.suffix.lower() != ".npz" or not {OWN_RENDERS, OWN_TRUTH} <= {*npz_members(file)}:
             held = ", ".join(npz_members(file)[:9]) if file.suffix.lower() == ".npz" else f"a {file.suffix or 'folder'}"
@@ -92,7 +115,7 @@ def own_truths(path: Path) -> dict[str, ArrayStack]:
     return {file.stem: ArrayStack(file, OWN_TRUTH) for file in files}
 
 
-def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Protocol, source: Path) -> None:
+def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack | Pictures], protocol: Protocol, source: Path) -> None:
     """Write the truth of each view as PNG, then the records of a run."""
     for view, stack in stacks.items():
         for number, frame in enumerate(track(stack.frames(0, stack.n_frames), f"truth of {view}", total=stack.n_frames)):
@@ -100,7 +123,7 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Pro
     files = {view: sorted(run.truth(view).glob("*.png")) for view in stacks}
     record = {
         "path": str(source),
-        "scene": source.name.removesuffix(".npz"),
+        "scene": source.resolve().name.removesuffix(".npz"),
         "layout": "truth beside renders",
         "truth": "came with the renders",
         "fps": 0,
@@ -114,7 +137,7 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Pro
     write_text(run.protocol_file, protocol.to_toml())
 
 
-def _require_same(run: RunFolder, view: str, stack: ArrayStack, frames: range) -> None:
+def _require_same(run: RunFolder, view: str, stack: ArrayStack | Pictures, frames: range) -> None:
     """Refuse an archive whose truth is not that of the run."""
     if stack.n_frames != len(frames):
         raise RenderError(
@@ -140,7 +163,7 @@ def compare_published(renders: Mapping[str, Path], results: Results) -> list[str
 
 def _compare(label: str, path: Path, results: Results) -> Iterator[str]:
     for view, stack in own_truths(path).items():
-        if PUBLISHED not in npz_members(stack.path):
+        if isinstance(stack, Pictures) or PUBLISHED not in npz_members(stack.path):
             continue
         theirs = np.asarray(read_small_array(stack.path, PUBLISHED), np.float64)
         if theirs.ndim != 2 or len(theirs) != stack.n_frames:

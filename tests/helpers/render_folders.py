@@ -77,9 +77,9 @@ def write_picture(path: Path, image: Image8) -> None:
         cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
 
 
-def write_videos(folder: Path, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS) -> Path:
+def write_videos(folder: Path, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS, fps: float = 30.0) -> Path:
     for view in views:
-        write_video(folder / f"{view}.mp4", (rendered(view, frame) for frame in frames), 30.0, crf=0)
+        write_video(folder / f"{view}.mp4", (rendered(view, frame) for frame in frames), fps, crf=0)
     return folder
 
 

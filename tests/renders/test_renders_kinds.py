@@ -190,6 +190,14 @@ def test_easyvolcap_with_several_tags_is_asked_for_one(truth_run, tmp_path):
         import_renders(truth_run, "mine", tmp_path / "theirs")
 
 
+def test_a_video_of_another_rate_shows_other_instants(truth_run, tmp_path):
+    """Of another rate and number of frames, frame k is not instant k: both are named; equal numbers are taken in order."""
+    fewer = range(FRAMES.start, FRAMES.stop - 1)
+    with refused(RenderError, "24 frames per second", "the capture 30", "fps=30"):
+        import_renders(truth_run, "mine", write_videos(tmp_path / "slow", fewer, fps=24.0))
+    assert import_renders(truth_run, "mine", write_videos(tmp_path / "same", FRAMES, fps=24.0))["partial"] == ""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"])
 def test_a_video_per_view_is_decoded_to_its_frames(frames, truth_run, tmp_path):

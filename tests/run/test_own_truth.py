@@ -15,6 +15,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
+from helpers.command_line import refusal
 from helpers.small_runs import small_protocol, write_small_capture
 
 VIEW, FRAMES = "cam00", 4
@@ -70,6 +71,25 @@ def test_the_same_scores_with_and_without_the_capture(folder, tmp_path, capsys):
         assert own[own["metric"] == metric]["value"].tolist() == with_capture[with_capture["metric"] == metric]["value"].tolist()
     call("score", *place(folder, tmp_path / "with"), "--renders", f"theirs={archive}")
     assert Results.read(tmp_path / "with").table["value"].tolist() == with_capture["value"].tolist()
+
+
+def test_renders_next_to_their_truth_need_no_capture(folder, tmp_path, capsys):
+    """Of renders/ and gt/ `score`, `doctor` and `explain` answer as with the capture; without either they say how."""
+    pair = tmp_path / "mine"
+    for name, source in (("renders", "renders/theirs"), ("gt", "truth")):
+        for file in sorted((folder / "run" / source / VIEW).glob("*.png")):
+            write_image(pair / name / file.name, read_image(file))
+    call("score", "--with-truth", "--renders", f"mine={pair}", "--protocol", folder / "p.toml", "--run", tmp_path / "own")
+    own, with_capture = Results.read(tmp_path / "own").table, Results.read(folder / "run").table
+    assert own["value"].tolist() == with_capture["value"].tolist()
+    psnr_db = with_capture[with_capture["metric"] == "PSNR"]["value"].mean()
+    call("explain", pair, "psnr", f"{psnr_db:.3f}", "--with-truth")
+    assert "conventions tried" in capsys.readouterr().out
+    assert "--with-truth" in refusal("doctor", pair)
+    assert "renders/ next to gt/" in refusal("doctor", pair / "gt", "--with-truth")
+    with pytest.raises(SystemExit):  # a blurred copy of the truth is a certain fault
+        call("doctor", pair, "--with-truth")
+    assert "truth copied in" in capsys.readouterr().out
 
 
 @pytest.mark.slow

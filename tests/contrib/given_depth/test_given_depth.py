@@ -70,6 +70,15 @@ def test_a_planted_error_of_scale_shows(room, exact, tmp_path):
 
 
 @pytest.mark.slow
+def test_more_maps_than_frames_are_said(room, exact, tmp_path):
+    """Which maps are used is named where there are more than frames; equal numbers need no word."""
+    longer = {name: np.concatenate([values, values]) for name, values in exact.items()}
+    assert any(
+        f"{2 * FRAMES} depth maps" in note and "first ones" in note for note in notes_of(room, written(tmp_path / "l", longer))
+    )
+    assert not any("first ones" in note for note in notes_of(room, written(tmp_path / "d", exact)))
+
+
 def test_lengths_of_rays_are_told_from_z(room, exact, tmp_path):
     """Distances taken for z are named with the option that mends it, which gives exact z; z is not suspected."""
 
