@@ -85,7 +85,8 @@ class SideProcess:
             self.end()
             return None
         if not select.select([child.stdout], [], [], timeout_s)[0]:
-            raise TimeoutError(f"{request}: took over {timeout_s:g} s")
+            named = f"{request}: " if isinstance(request, Path) else ""
+            raise TimeoutError(f"{named}took over {timeout_s:g} s")
         try:
             answer: tuple[str, Any] = pickle.load(child.stdout)
         except EOFError:
@@ -121,7 +122,7 @@ def serve(read: Callable[[Any], Any], unfinished: Sized = (), prints: bool = Fal
         prints: show what libraries print, among the errors.
     """
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nowhere = os.open(os.devnull, os.O_RDWR)
+    nowhere, process = os.open(os.devnull, os.O_RDWR), os.getpid()
     os.dup2(nowhere, 0)
     os.dup2(2 if prints else nowhere, 1)  # what a library prints is neither an answer nor an error
     while select.select([requests], [], [], None if unfinished else IDLE_S)[0]:
@@ -133,6 +134,8 @@ def serve(read: Callable[[Any], Any], unfinished: Sized = (), prints: bool = Fal
             answer = "", read(request)
         except Exception as error:
             answer = _reason(error), None
+        if os.getpid() != process:  # a copy that the request has made of this process; its answer would be the next one's
+            os._exit(0)
         try:
             pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
             answers.flush()

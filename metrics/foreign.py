@@ -21,6 +21,7 @@ from ggvs_eval.metrics.registry import METRICS, scorer_factory
 from ggvs_eval.plugins import foreign
 from ggvs_eval.side_process import SideProcess, serve
 
+LONGEST_ANSWER_S = 600.0  # for a frame, or for the last of a view
 PROCESSES: dict[str, SideProcess] = defaultdict(partial(SideProcess, Path(__file__), quiet=False))  # by metrics
 _SCORERS: dict[int, Scorer] = {}  # in such a process
 _NUMBERS = count()  # of scorers
@@ -35,11 +36,11 @@ def foreign_values(names: Sequence[str], *arguments: Any, scoring: tuple[Any, ..
         scoring: which scorer is to measure a frame, and which frame; see `_score`.
 
     Raises:
-        MetricError: it failed, ended its process, or gave no numbers of its own.
+        MetricError: it failed, ended its process, took over ten minutes, or gave no numbers of its own.
     """
     failure = _failure(names)
     with foreign(failure, MetricError):
-        values: list[Any] | str = PROCESSES[failure].ask((tuple(METRICS.origins(names)), arguments, scoring))
+        values: list[Any] | str = PROCESSES[failure].ask((tuple(METRICS.origins(names)), arguments, scoring), LONGEST_ANSWER_S)
     if isinstance(values, str):
         raise MetricError(values)
     return values

@@ -189,6 +189,21 @@ def test_a_metric_that_writes_into_frames_has_copies(offer, write):
     assert [value for value in with_it.values if value[0] == "X"] == [("X", frame, 1.0) for frame in range(3)]
 
 
+def test_a_metric_that_hangs_costs_itself(offer, monkeypatch):
+    """After a stated time its process is ended, and the reason says so."""
+    monkeypatch.setattr(foreign, "LONGEST_ANSWER_S", 3.0)
+    offer(METRIC.format(body="import time; time.sleep(100)"))
+    scores = score_view(frames(), ["X", "L1"])
+    assert "took over 3 s" in scores.not_computed["X"]
+    assert {name for name, _, _ in scores.values} == {"L1"}
+
+
+def test_a_copy_of_the_process_gives_no_answers(offer):
+    """A metric that forks has the values of the process that was asked; the copy ends where it would answer too."""
+    offer(METRIC.format(body="import os; return 1.0 if os.fork() else 2.0"))
+    assert score_view(frames(), ["X"]).values == [("X", frame, 1.0) for frame in range(3)]
+
+
 SCORER = """
 class Scorer:
     def __init__(self, names, options, colour_map):
