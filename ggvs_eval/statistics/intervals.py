@@ -37,6 +37,7 @@ class Interval:
         note: what the interval takes as given (``given this scene, these 3 views``; empty if nothing), and that a clip is too
             short for it; or why there is none.
         is_short: whether the clip is too short for the interval: it covers less than its level says.
+        given: what the interval takes as given, as ``these 3 views``.
     """
 
     value: float
@@ -44,6 +45,7 @@ class Interval:
     high: float | None
     note: str
     is_short: bool = False
+    given: tuple[str, ...] = ()
 
     @property
     def half_width(self) -> float | None:
@@ -143,7 +145,7 @@ def table_intervals(table: PooledTable) -> dict[str, Interval]:
                 raise ResultsError(table.no_interval)
             spread = measure_spread(table.scenes_of(label))
             half = spread.half_width()
-            bounded[label] = Interval(value, value - half, value + half, spread.note, bool(spread.short))
+            bounded[label] = Interval(value, value - half, value + half, spread.note, bool(spread.short), spread.given)
         except ResultsError as refusal:
             bounded[label] = Interval(value, None, None, str(refusal))
     return bounded

@@ -17,7 +17,6 @@ from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import (
-    PARTIAL,
     MeasuredRun,
     MetricNote,
     note_groups,
@@ -186,7 +185,8 @@ def main_captions(
         means = f"Mean over {frames}, then {views}, then scenes"
     sources = _sources(runs, names)
     partial = results.partial
-    marks = [f"{names.get(label, label).removesuffix(PARTIAL)} is {mark}; it is not ranked." for label, mark in partial.items()]
+    titles = {label: title for run in runs for label, title in run.names.items()}
+    marks = [f"{titles.get(label, label)} is {mark}; it is not ranked." for label, mark in partial.items()]
     marks += results.fault_lines(names)
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]

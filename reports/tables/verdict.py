@@ -119,24 +119,26 @@ def certainty_captions(
     """
     level = f"{100 * LEVEL:.0f} %"
     bounded = [one for judgement in judgements.values() for one in judgement.intervals.values() if one.low is not None]
-    given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in bounded) if note)
+    conditions = dict.fromkeys(f", given {', '.join(interval.given)}" for interval in bounded if interval.given)
+    given = "".join(conditions)
     brief = [f"±: {level} interval."] if bounded else []
     captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []
     captions += [SHORT_MEANS] if any(one.is_short for one in bounded) else []
     if any(judgement.marked for judgement in judgements.values()):
         brief.append(f"Bold: best, or not significantly worse (paired, {level} for all methods and metrics together).")
-    said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
-    for metric, one in judgements.items():
-        if one.rivals and not one.marked:
-            said[f"Nothing is bold in {{}}: {one.undecided or 'no method is significantly worse than the best'}."].append(metric)
-    for metric, one in judgements.items():
-        if refusal := next((interval.note for interval in one.intervals.values() if interval.low is None), ""):
-            said[f"No interval for {{}}: {refusal}."].append(metric)
-    for metric, one in judgements.items():
-        for label, why in one.unranked.items():
+    said: dict[tuple[str, str], list[str]] = defaultdict(list)  # beginning and end of a sentence -> what is between them
+    for metric, judgement in judgements.items():
+        if judgement.rivals and not judgement.marked:
+            why = judgement.undecided or "no method is significantly worse than the best"
+            said["Nothing is bold in ", f": {why}."].append(metric)
+    for metric, judgement in judgements.items():
+        if refusal := next((interval.note for interval in judgement.intervals.values() if interval.low is None), ""):
+            said["No interval for ", f": {refusal}."].append(metric)
+    for metric, judgement in judgements.items():
+        for label, why in judgement.unranked.items():
             if label not in set_aside:
-                said[f"Not ranked: {{}}, which {why}."].append(f"{names.get(label, label)} in {metric}")
-    return brief, captions + [sentence.replace("{}", ", ".join(gap), 1) for sentence, gap in said.items()]
+                said["Not ranked: ", f", which {why}."].append(f"{names.get(label, label)} in {metric}")
+    return brief, captions + [f"{beginning}{', '.join(gap)}{end}" for (beginning, end), gap in said.items()]
 
 
 @dataclass(frozen=True)
