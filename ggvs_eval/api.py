@@ -35,23 +35,27 @@ from ggvs_eval import (
 )
 from ggvs_eval.datasets import (
     assemble,
-    calibration_mark,
     camera_frames,
     colmap_model,
     corrections,
     depth_range,
     detect_layout,
+    entries,
+    find_cameras,
     frames,
     llff,
+    media,
     open_capture,
+    rig,
     units,
 )
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
+from ggvs_eval.datasets.refusal import calibration_mark
 from ggvs_eval.datasets.undistort import UndistortedFrames
-from ggvs_eval.datasets.unread_files import unread_note
+from ggvs_eval.datasets.unread_files import unused_note
 from ggvs_eval.files import (
     atomic,
     coding,

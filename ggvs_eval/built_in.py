@@ -403,6 +403,7 @@ DEPTH_OUTPUTS = {
 }
 DEPTH_CHOICES = {"depth": f"{_OFFLINE}.depth.depth_choice:depth_options"}  # all parameters of what a user chooses
 # Depth that another program has computed, in place of a matcher's.
+REFUSALS = {"capture": "ggvs_eval.datasets.refusal:unfit"}
 DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}
 NETWORK_MATCHERS = ("raft", "itermvs")
 

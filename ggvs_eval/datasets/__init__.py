@@ -9,19 +9,16 @@ from pathlib import Path
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture, GivenDepth
 from ggvs_eval.datasets.assemble import apply_known_traps
-from ggvs_eval.datasets.camera_frames import refuse_chapters
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.datasets.unread_files import find_marked, unread_note, unused_note
+from ggvs_eval.datasets.unread_files import unused_note
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean, no_such_path
-from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files
+from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import watch_reads
 from ggvs_eval.plugins import Registry, foreign
-
-LISTED = 8
 
 
 def _checked(name: str, spec: object) -> DatasetSpec:
@@ -51,6 +48,7 @@ def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, 
 
 
 DEPTH_FILES: Registry[Callable[[Capture, GivenDepth], Capture]] = Registry("depth files", built_in.DEPTH_FILES)
+REFUSALS: Registry[Callable[[Path, Mapping[str, str]], str]] = Registry("refusals", built_in.REFUSALS)
 DATASETS: Registry[DatasetSpec] = Registry("datasets", built_in.DATASETS, _checked)  # in the order in which they are tried
 
 
@@ -128,51 +126,4 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
         if refusal is None:
             return name
         refusals[name] = refusal
-    raise CaptureError(_unfit(path, refusals))
-
-
-def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
-    """Return a name in a folder that shows a calibration, the layouts that have it, or what it is and what to do.
-
-    None if there is none, or no folder. The marks of layouts go first; files of `find_marked` are of no layout.
-    """
-    if not path.is_dir():
-        return None
-    marks = [mark for _, spec in DATASETS.working() for mark in spec.marks]
-    for mark in dict.fromkeys(marks):
-        if found := min(path.glob(mark), default=None):
-            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks), ""
-    held = find_marked(path)
-    return (str(held[0].relative_to(path)), (), f"{held[1].name}, not read here; {held[1].advice}") if held else None
-
-
-def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
-    """State why a path is of no layout: what it shows first, then what else was looked for."""
-    if path.is_file():
-        return (
-            f"{path}: wanted a capture's folder or capture.toml, got another file; give its folder, {path.parent.resolve().name}"
-        )
-    refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)])
-    within, mark = _captures_within(path), calibration_mark(path)
-    remedy = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
-    reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
-    if mark is None:
-        notes = unread_note(path) if path.is_dir() and not within else []
-        unread = f" ({'; '.join(notes[:LISTED])})" if notes else ""
-        return f"{path}: wanted a capture in a known layout{unread}; {remedy} (looked for: {reasons})"
-    name, layouts, what = mark
-    if not layouts:
-        return f"{path}: {name} exists: {what}; {remedy} (looked for: {reasons})"
-    lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
-    return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {remedy} (also looked for: {reasons})"
-
-
-def _captures_within(path: Path) -> list[str]:
-    """Return the folders one or two levels below that hold a capture, when a whole data set was named instead of a scene."""
-    captures: list[Path] = []
-    level = [path]
-    for _ in range(2):
-        level = [entry for folder in level for entry in list_entries(folder) if entry.is_dir()][: 4 * LISTED]
-        captures = captures or [each for each in level if any(spec.refuse(each) is None for _, spec in DATASETS.working())]
-    names = [str(each.relative_to(path)) for each in captures]
-    return [*names[:LISTED], "..."] if len(names) > LISTED else names
+    raise CaptureError(REFUSALS["capture"](path, refusals))

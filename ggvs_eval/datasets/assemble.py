@@ -4,8 +4,9 @@ Frame t of every camera shows one instant, so that counts and rates must be one;
 pictures the frames are; known faults of public scenes and cameras are reported or left out.
 """
 
+import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -17,14 +18,13 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
-from ggvs_eval.datasets.camera_frames import listed
-from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames, as_calibrated, has_shape
+from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.names import Number
-from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
+from ggvs_eval.files.names import Number, is_inside, listed
+from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.files.video import DEINTERLACE, VideoFrames
-from ggvs_eval.lens import Lens
+from ggvs_eval.lens import LARGEST_OFFSET, Lens
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
 FOLDER_FPS = 30.0
@@ -33,6 +33,11 @@ LARGEST_DIFFERENCE = 2e-4
 LARGEST_LAG = 0.5  # steps between frames of one number, where rates vary: farther off, the next frame is nearer
 CROP_FILE = "crop.toml"
 UNNAMED = "capture"  # the folder that `evaluate` writes into OUT, whose name is the scene's
+AS_STORED = "read as stored, which the calibration matches"
+TURNED = (
+    "turned accordingly; a calibration of the stored pixels (COLMAP) would not fit: check by `ggvs-eval check`, else remove the "
+    "tag (exiftool -Orientation= FILES)"
+)
 Size = tuple[int, int]
 LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
 FILE = "known_traps.toml"
@@ -77,7 +82,7 @@ def assemble_capture(
     if twice or not names:
         matches = f"several called {', '.join(twice)}" if twice else "none"
         raise CaptureError(f"{path}: wanted cameras of different names, got {matches}; correct the calibration")
-    unfit = [name for name in names if not _is_file_name(name)]
+    unfit = [name for name in names if not is_inside(name) or Path(name).name != name]
     if unfit:
         raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
     sources = [as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)]
@@ -115,50 +120,35 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
         of = listed([camera.name for camera in slanted])
         notes.append(f"rotations of {of} are off by up to {largest:.1e}: replaced by the nearest rotations")
     notes += uneven_notes({camera.name: source for camera, source in zip(cameras, sources, strict=True)})
-    woven = [
-        name
-        for name, video in _videos({c.name: s for c, s in zip(cameras, sources, strict=True)}).items()
-        if video and video.interlaced
-    ]
-    if woven:
-        notes.append(f"frames of {listed(woven)} are interlaced, two instants in every other row each: {DEINTERLACE} parts them")
-    return [*notes, *_exif_notes(cameras, sources), *_conversion_notes(cameras, sources)]
-
-
-def _exif_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """List how EXIF orientations were applied; only the poses can confirm it."""
-    names: dict[bool, list[str]] = {}
+    sentences: dict[str, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
-        inner = list(source_chain(source))[-1]
-        if isinstance(inner, ImageFrames) and inner.orientations:
-            names.setdefault(inner.as_stored, []).append(f"{camera.name} ({', '.join(map(str, inner.orientations))})")
-    how = {
-        True: "read as stored, which the calibration matches",
-        False: "turned accordingly; a calibration of the stored pixels (COLMAP) would not fit: check by "
-        "`ggvs-eval check`, else remove the tag (exiftool -Orientation= FILES)",
-    }
-    return [f"pictures with an EXIF orientation, {listed(some)}, are {how[as_stored]}" for as_stored, some in names.items()]
+        files = list(source_chain(source))[-1]
+        if isinstance(files, ImageFrames | VideoFrames):
+            for sentence, detail in _said_of(files):
+                sentences.setdefault(sentence, []).append(f"{camera.name}{detail}")
+    for sentence, names in sentences.items():
+        notes.append(sentence.format("all cameras" if len(names) == len(cameras) > 1 else listed(names)))
+    return notes
 
 
-def _conversion_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """List the changes by reading frames as 8-bit RGB."""
-    by_change: dict[str, list[str]] = {}
-    for camera, source in zip(cameras, sources, strict=True):
-        inner = getattr(source, "source", source)  # behind an undistortion
-        for change, count in inner.conversions.items() if isinstance(inner, ImageFrames | VideoFrames) else ():
-            by_change.setdefault(change, []).append(f"{camera.name} ({count} of {inner.n_frames})")
-    shown = {change: "all cameras" if len(names) == len(cameras) > 1 else listed(names) for change, names in by_change.items()}
-    return [f"frames of {names} are read {change}" for change, names in shown.items()]
-
-
-def _is_file_name(name: str) -> bool:
-    """Results are written to files that are called after cameras; none may lead out of their folder."""
-    return bool(name) and name.isprintable() and Path(name).name == name and name != ".." and len(name.encode()) < 200
+def _said_of(files: ImageFrames | VideoFrames) -> Iterator[tuple[str, str]]:
+    """Yield what is to be said of the frames of a camera, with a place for names, and what is added to its own."""
+    if isinstance(files, VideoFrames) and files.interlaced:
+        yield f"frames of {{}} are interlaced, two instants in every other row each: {DEINTERLACE} parts them", ""
+    if isinstance(files, ImageFrames) and files.orientations:
+        tags = ", ".join(map(str, files.orientations))
+        yield f"pictures of {{}} with the EXIF orientation {tags} are {AS_STORED if files.as_stored else TURNED}", ""
+    if isinstance(files, ImageFrames) and files.other_kinds:
+        yield f"frames of {{}} are read without {', '.join(files.other_kinds)} beside them", ""
+    for change, count in files.conversions.items():
+        yield f"frames of {{}} are read {change}", f" ({count} of {files.n_frames})"
 
 
 def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
     """Return the camera at the size of its frames, which may be a uniformly scaled one."""
     width, height = source.size
+    if (width, height) != camera.size:
+        _check_K_is_of(camera, source.size, path)
     if not has_shape((width, height), camera.size):
         tags = source.orientations if isinstance(source, ImageFrames) else ()
         turned = f", turned as their EXIF orientation {tags[0]} says," if tags else ""
@@ -167,6 +157,17 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
             f"{camera.height} that {camera.name} is calibrated for; {describe_crop((width, height), camera.size, path)}"
         )
     return camera.resized(width, height)
+
+
+def _check_K_is_of(camera: Camera, frames: Size, path: Path) -> None:
+    """Refuse a K whose principal point is in the middle of the frames, and far off that of the size which its file states."""
+    off_stated, off_frames = (np.abs(camera.K[:2, 2] / size - 0.5).max() for size in (camera.size, frames))
+    if off_stated > LARGEST_OFFSET >= off_frames:
+        point = f"({camera.K[0, 2]:g}, {camera.K[1, 2]:g})"
+        raise CaptureError(
+            f"{path}: K of {camera.name} is of {frames[0]} x {frames[1]} images, by its principal point {point}, its file says "
+            f"{camera.width} x {camera.height}: correct the size, or K"
+        )
 
 
 def align_numbers(
@@ -212,7 +213,7 @@ def _only(source: Any, common: set[Number]) -> Any:
     if hasattr(source, "source"):
         return replace(source, source=_only(source.source, common))
     kept = tuple((number, file) for number, file in zip(source.numbers, source.files, strict=True) if number in common)
-    return NumberedFrames(source.path, kept, as_stored=source.as_stored)
+    return ImageFrames(source.path, numbered=kept, as_stored=source.as_stored)
 
 
 def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
@@ -238,19 +239,18 @@ def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
     videos = _videos(sources)
     rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
     rate, differ = float(np.mean(list(rates.values()))), np.ptp(list(rates.values())) > LARGEST_DIFFERENCE * max(rates.values())
-    is_uneven = any(video and video.uneven for video in videos.values())
-    lag_s = largest_lag_s(sources) if is_uneven else None
-    if lag_s is not None and lag_s > LARGEST_LAG / rate and (gaps := _gaps(videos)):
+    lag_s = largest_lag_s(sources) if any(video and video.uneven for video in videos.values()) else None
+    if lag_s is None and not differ:
+        return round(rates[next(iter(rates))], 2)
+    if lag_s is not None and lag_s <= LARGEST_LAG / rate:
+        return round(rate, 2)
+    if lag_s is not None and (gaps := _gaps(videos)):
         nominal = 1 / min(np.median(np.diff(video.times_s)) for video in videos.values() if video)
         raise CaptureError(
             f"{path}: wanted frames of one number within half a step in time, got {1000 * lag_s:.0f} ms: {'; '.join(gaps)}; "
             f"write each such video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut "
             "all to one length"
         )
-    if lag_s is not None and lag_s <= LARGEST_LAG / rate:
-        return round(rate, 2)
-    if not differ and lag_s is None:
-        return round(rates[next(iter(rates))], 2)
     shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
     apart = f" with frames of one number up to {1000 * lag_s:.0f} ms apart" if lag_s is not None else ""
     raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}{apart}; convert them to one rate")
@@ -373,7 +373,7 @@ class KnownTrap:
     dataset: str
     reason: str
     source: str
-    scenes: tuple[str, ...] = ()
+    scenes: Sequence[str] = ()
     layout: str = ""
     camera: str = ""
     leave_out: bool = False
@@ -387,13 +387,6 @@ class KnownTrap:
             and (not self.camera or self.camera in capture.camera_names)
             and capture.n_frames > self.more_frames_than
         )
-
-
-@dataclass(frozen=True)
-class TrapTable:
-    """The file."""
-
-    trap: tuple[KnownTrap, ...]
 
 
 def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
@@ -414,16 +407,25 @@ def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
     return capture
 
 
-@cache
 def known_traps() -> tuple[KnownTrap, ...]:
     """Return the traps that ship with the package.
 
     Examples:
-        >>> [(trap.scenes, trap.camera) for trap in known_traps() if trap.leave_out]
-        [(('coffee_martini',), 'cam13')]
+        >>> [(*trap.scenes, trap.camera) for trap in known_traps() if trap.leave_out]
+        [('coffee_martini', 'cam13')]
     """
-    text = (resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8")
-    return build_table(TrapTable, parse_toml(text, FILE, CaptureError), FILE, "", CaptureError).trap
+    return tuple(KnownTrap(**row) for row in _known()["trap"])
+
+
+def known_depths(layout: str, scene: str) -> tuple[float, float] | None:
+    """Return near and far of a scene that are published, world units; None of other scenes."""
+    near_far = _known()["depths"][layout].get(scene)
+    return near_far and (near_far[0], near_far[1])
+
+
+@cache
+def _known() -> dict[str, Any]:
+    return tomllib.loads((resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8"))
 
 
 def _steps(numbers: Sequence[Number]) -> tuple[Number, ...]:

@@ -15,18 +15,21 @@ from ggvs_eval.datasets.calibration_readers import (
     read_opencv,
     read_qualisys,
 )
-from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
-from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.camera_frames import find_frames
+from ggvs_eval.datasets.easymocap import read_lenses
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.media import folders_beside
+from ggvs_eval.datasets.rig import RigCamera, pinhole_rig
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import list_entries
+from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import read_plain_text
 
 # Marks of such files among others of their suffix, before they are parsed.
-ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
+ANIPOSE = re.compile(r'^[ \t]*matrix[ \t]*=|"matrix"(?s:.*)"distortions"', re.MULTILINE)
 MATRIX = "(camera_matrix|Camera_Matrix|M1|K1|cameraMatrix1?)"
+EASYMOCAP = re.compile(r"^K_\w+[ \t]*:", re.MULTILINE)
 OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
 MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
@@ -56,7 +59,10 @@ class Kind:
 KINDS = {
     "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) next to videos", (".qca.txt",), None, read_qualisys),
     "anipose": Kind(
-        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) next to videos", (".toml",), ANIPOSE, read_anipose
+        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) next to videos", (".toml", ".json"), ANIPOSE, read_anipose
+    ),
+    "easymocap": Kind(
+        "intri.yml (EasyMocap), lenses alone", (".yml", ".yaml"), EASYMOCAP, lambda path: [*read_lenses(path).values()]
     ),
     "opencv": Kind("CAM.yml or STEREO.xml (cv2.FileStorage, ROS) next to videos", (".yml", ".yaml", ".xml"), OPENCV, read_opencv),
 }
@@ -118,43 +124,34 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    frames = find_frames(folder, {name: f"{name}.png" for name in file.cameras}).sources
-    stems = {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values() if camera.stem}
-    if (
-        not frames
-        and len(stems) == len(file.cameras)
-        and (by_stem := find_frames(folder, {name: f"{name}.png" for name in stems}).sources)
-    ):
-        file, frames = replace(file, cameras=stems), by_stem
-    if len(frames) < 2:
-        missing = [name for name in file.cameras if name not in frames]
-        content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
-        raise CaptureError(
-            f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; rename videos like their cameras"
-        )
-    filmed = [camera for camera in file.cameras.values() if camera.name in frames]
+    try:
+        found = find_frames(folder, {name: f"{name}.png" for name in file.cameras})
+    except CaptureError:
+        stems = {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values() if camera.stem}
+        if len(stems) < len(file.cameras):
+            raise
+        file = replace(file, cameras=stems)
+        found = find_frames(folder, {name: f"{name}.png" for name in stems})
+    frames = found.sources
+    filmed = [file.cameras[name] for name in frames]
     chosen = [camera for camera in filmed if camera.world_to_camera is not None]
     if len(chosen) < 2:
-        without = [camera.name for camera in filmed if camera.world_to_camera is None]
         remedy = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
-        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(without)}; {remedy}")
+        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(frames)}; {remedy}")
     crop = given_crop(folder)
-    poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
-    try:
-        lenses = [camera.lens(frames[camera.name].size, crop) for camera in chosen]
-        rig = [
-            Placed(camera.name, lens.undistorted_K(), pose, (lens.width, lens.height))
-            for camera, lens, pose in zip(chosen, lenses, poses, strict=True)
-        ]
-    except CameraError as error:
-        raise CaptureError(f"{path}: {error}") from error
-    cameras = ranged_cameras(rig, path)
-    sources = undistorted_sources([frames[camera.name] for camera in chosen], lenses, cameras)
-    left = {
-        "calibrated, but without frames": [name for name in file.cameras if name not in frames],
-        "calibrated, but without a pose": [camera.name for camera in filmed if camera.world_to_camera is None],
-    }
-    notes = [f"{listed(names)} left out: {why}" for why, names in left.items() if names]
+    lenses = []
+    for camera in chosen:
+        try:
+            lenses.append(camera.lens(frames[camera.name].size, crop))
+        except CameraError as error:
+            raise CaptureError(f"{path}: {error}") from error
+    rig = [
+        RigCamera(camera.name, lens, camera.world_to_camera)
+        for camera, lens in zip(chosen, lenses, strict=True)
+        if camera.world_to_camera is not None
+    ]
+    unplaced = [camera.name for camera in filmed if camera.world_to_camera is None]
+    notes = [*found.notes, *([f"{listed(unplaced)} left out: calibrated, but without a pose"] if unplaced else [])]
     cut = [
         camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
     ]
@@ -162,17 +159,21 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     notes += [f"{path.name}: {listed(unknown)} unknown here, ignored"] if unknown else []
     if cut and crop:
         notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}")
+    sources = [frames[camera.name] for camera in chosen]
+    cameras, pinhole = pinhole_rig(rig, sources, path)
     return assemble_capture(
-        folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
+        folder, kind, cameras, pinhole, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
     """Return the files of `find_calibration_files`, and what reads them."""
-    files = list_entries(path) if path.is_dir() else [path]
-    for each in KINDS.values() if kind is None else [KINDS[kind]]:
-        if fitting := [file for file in files if each.fits(file)]:
-            return each.read, fitting
+    folders = folders_beside(path) if path.is_dir() else []
+    names = [name for name in KINDS if kind in (name, None) and (name != "easymocap" or not folders)]  # its folders have poses
+    for each in map(KINDS.__getitem__, names):
+        for files in [list_entries(folder) for folder in folders] or [[path]]:
+            if fitting := [file for file in files if each.fits(file)]:
+                return each.read, fitting
     return lambda _: [], []
 
 

@@ -3,8 +3,8 @@
 Facts of the formats: Qualisys writes 64ths of a pixel and millimetres, as pose2sim reads them; aniposelib what OpenCV calibrates.
 """
 
-import re
-from collections.abc import Collection, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.assemble import Crop, crop_lens
+from ggvs_eval.datasets.entries import plain_numbers, unknown_entries
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
@@ -38,49 +39,21 @@ STEREO_NAMES, STEREO_EXTRINSICS = ("left", "right"), "extrinsics.yml"
 ROTATION_KEYS, TRANSLATION_KEYS = ("R", "rvec", "rotation_matrix", "rotation_vector"), ("T", "tvec", "translation_vector")
 
 # Entries that are read, and those that have no say in where a pixel looks: boards, flags, errors, rectification.
-OPENCV_KEYS = {*MATRIX_KEYS, *DISTORTION_KEYS, *WIDTH_KEYS, *HEIGHT_KEYS, *ROTATION_KEYS, *TRANSLATION_KEYS, "names"}
-OPENCV_KEYS |= {key.format(number) for keys in STEREO_KEYS for key in keys for number in (1, 2)}
-OPENCV_KEYS |= {"camera_name", "fisheye_model", "distortion_model", "calibration_time", "board_width", "board_height"}
-OPENCV_KEYS |= {"square_size", "marker_size", "aspectRatio", "aspect_ratio", "flags", "nframes", "nr_of_frames", "nrOfFrames"}
-OPENCV_KEYS |= {"avg_reprojection_error", "per_view_reprojection_errors", "extrinsic_parameters", "image_points", "grid_points"}
-OPENCV_KEYS |= {
-    "Avg_Reprojection_Error",
-    "rectification_matrix",
-    "projection_matrix",
-    "R1",
-    "R2",
-    "P1",
-    "P2",
-    "Q",
-    "E",
-    "F",
-    "rms",
-}
-TOML_KEYS = {"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye", "ignore", "cam_id", "port"}
-TOML_KEYS |= {"error", "grid_count", "rotation_count", "exposure", "verified", "fps", "backend", "model"}
-QUALISYS_KEYS = {f"{name}{axis}" for name in ("focalLength", "centerPoint", "sensorMin", "sensorMax") for axis in "UV"}
-QUALISYS_KEYS |= {
-    "focallength",
-    *(f"{kind}Distortion{at}" for kind in ("radial", "tangental") for at in (1, 2)),
-    "radialDistortion3",
-}
-LENS_ENTRY = re.compile(r"^(xi|alpha|beta|gamma|mu|omega|skew|[kps][1-9])$|lens|distort|dist_|omni|polynomial|coeff", re.I)
-OMNIDIR = ("xi", "cv::omnidir's model; undistort the frames with it first")
-
-
-def unknown_entries(path: Path, entries: Mapping[str, Any], known: Collection[str]) -> list[str]:
-    """The entries of a file that its reader skips.
-
-    Raises:
-        CaptureError: one of them belongs to the lens, and so changes where pixels look, and is not 0.
-    """
-    unknown = [key for key in entries if key not in known]
-    for key in unknown:
-        value = str(entries[key]).strip()
-        if LENS_ENTRY.search(key) and re.search("[1-9]", value):
-            why = OMNIDIR[1] if key == OMNIDIR[0] else "undistort the frames with it first, or write the lens in OpenCV's entries"
-            raise CaptureError(f"{path}: {key}: {value:.40} belongs to the lens and is not read, {why}")
-    return unknown
+BOARD_ENTRIES = """
+    names camera_name fisheye_model distortion_model calibration_time board_width board_height square_size marker_size
+    aspectRatio aspect_ratio flags nframes nr_of_frames nrOfFrames avg_reprojection_error Avg_Reprojection_Error
+    per_view_reprojection_errors extrinsic_parameters image_points grid_points rectification_matrix projection_matrix
+    R1 R2 P1 P2 Q E F rms"""
+OPENCV_KEYS = {*MATRIX_KEYS, *DISTORTION_KEYS, *WIDTH_KEYS, *HEIGHT_KEYS, *ROTATION_KEYS, *TRANSLATION_KEYS}
+OPENCV_KEYS |= {key.format(number) for keys in STEREO_KEYS for key in keys for number in (1, 2)} | {*BOARD_ENTRIES.split()}
+TOML_ENTRIES = """
+    name size matrix distortions rotation translation fisheye ignore cam_id port error grid_count rotation_count exposure
+    verified fps backend model"""
+TOML_KEYS = {*TOML_ENTRIES.split()}
+QUALISYS_ENTRIES = """
+    focalLengthU focalLengthV centerPointU centerPointV sensorMinU sensorMinV sensorMaxU sensorMaxV focallength
+    radialDistortion1 radialDistortion2 radialDistortion3 tangentalDistortion1 tangentalDistortion2"""
+QUALISYS_KEYS = {*QUALISYS_ENTRIES.split()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +68,7 @@ class FileCamera:
         is_metric: whether the pose is known to be in metres.
         stem: what the file is called; empty if it is of several cameras.
         unknown: entries of the file that were passed over.
+        near_far: depth range, world units; None if the file does not say.
     """
 
     name: str
@@ -106,6 +80,7 @@ class FileCamera:
     is_metric: bool = False
     stem: str = ""
     unknown: Sequence[str] = ()
+    near_far: tuple[float, float] | None = None
 
     def lens(self, frame_size: tuple[int, int] | None, crop: Crop | None = None) -> Lens:
         """Return the lens at the size of the calibration, which is taken to be that of the frames where the file names none.
@@ -120,8 +95,8 @@ class FileCamera:
         size = self.size or frame_size
         if size is None:
             raise CameraError(f"wanted the size of the images {self.name} was calibrated for, the file names none; add it")
-        check_K_size(self.K, size, is_stated=self.size is not None)
         lens = Lens(self.K, self.model, self.coefficients, *size)
+        check_K_size(self.K, size, is_stated=self.size is not None)
         return crop_lens(self.name, lens, frame_size, crop) if frame_size else lens
 
 
@@ -164,7 +139,7 @@ def read_anipose(path: Path) -> list[FileCamera]:
         of their board, which they do not state. caliscope's cameras, a table of tables, are called as it calls their videos:
         ``cam_0``, or ``port_0`` before; those that it ignores are left out.
     """
-    values = read_toml(path, CaptureError)
+    values = read_toml(path, CaptureError) if path.suffix.lower() == ".toml" else _json_tables(path)
     metadata = values.get("metadata")
     is_freemocap = isinstance(metadata, dict) and FREEMOCAP_KEY in metadata
     tables = {key: table for key, table in values.items() if isinstance(table, dict) and "matrix" in table}
@@ -189,6 +164,15 @@ def read_anipose(path: Path) -> list[FileCamera]:
         name = _table_name(key, table)
         cameras.append(FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose, is_freemocap, unknown=unknown))
     return cameras
+
+
+def _json_tables(path: Path) -> dict[str, Any]:
+    """Return the tables of a list of cameras in JSON, as AIST++ keeps aniposelib's; none of anything else."""
+    try:
+        values = json.loads(read_plain_text(path))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return {str(index): table for index, table in enumerate(values)} if isinstance(values, list) else {}
 
 
 def _is_given(table: Mapping[str, Any], key: str) -> bool:
@@ -310,14 +294,12 @@ def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:
 
 def _numbers(path: Path, section: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> Array:
     """Return the numbers of a key as an array of this shape, of any length where None."""
-    value = table.get(key)
-    rows = value if isinstance(value, list) else []
-    flat: Sequence[Any] = [each for row in rows for each in (row if isinstance(row, list) else [row])]
-    is_shaped = shape is None or (len(rows) == shape[0] and len(flat) == np.prod(shape))
-    if not is_shaped or not flat or not all(type(each) in (int, float) and abs(each) < LARGEST_NUMBER for each in flat):
+    values = plain_numbers(table.get(key))
+    is_shaped = values.ndim > 0 if shape is None else values.shape == shape
+    if not is_shaped or not values.size or not (np.abs(values) < LARGEST_NUMBER).all():
         size = "numbers" if shape is None else f"{' x '.join(map(str, shape))} numbers"
-        raise refused(path, f"{size} in {section}.{key}", repr(value)[:80])
-    return np.array(flat, dtype=np.float64).reshape(shape or (len(flat),))
+        raise refused(path, f"{size} in {section}.{key}", repr(table.get(key))[:80])
+    return values if shape else values.ravel()
 
 
 def _size(path: Path, section: str, values: Array) -> tuple[int, int]:

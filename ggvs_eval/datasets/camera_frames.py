@@ -1,162 +1,229 @@
-"""Frames of each camera on disk, by the one table of arrangements that layouts and commands look through, and their coding."""
+"""Frames of each camera on disk, found in the index of media by layouts and commands, and their coding."""
 
 import re
-from collections.abc import Iterable, Mapping
-from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.media import (
+    DEEPEST,
+    KINDS,
+    NO_CAMERA,
+    SETS,
+    CameraFrames,
+    Matches,
+    MediaGroup,
+    index_media,
+    match_cameras,
+)
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.listing import (
-    VIDEO_SUFFIXES,
-    list_entries,
-    list_files,
+    IMAGE_SUFFIXES,
+    UNREAD_PICTURES,
+    UNREAD_VIDEOS,
+    list_files_below,
     list_images,
-    same_name,
     unread_pictures,
     unread_videos,
 )
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.names import is_inside, listed
 
-CameraFrames = VideoFrames | ImageFrames
-# Places of the frames of a camera called CAM; the first that holds any counts; .mp4 is any video, .png any picture.
-ARRANGEMENTS = (
-    *("CAM.mp4", "videos/CAM.mp4", "images/CAM/", "frames/CAM/", "CAM/images/", "CAM/images_scaled_2/", "CAM/"),
+# Patterns of `index_media` in the order in which they count, whatever else is there.
+USUAL = (
+    *(
+        "CAM.mp4",
+        "videos/CAM.mp4",
+        "images/CAM/",
+        "frames/CAM/",
+        "*/images/CAM.png",
+        "CAM/images/",
+        "CAM/images_scaled_2/",
+        "CAM/",
+    ),
     *("images/CAM.png", "CAM.png", "images_2/CAM.png", "images_4/CAM.png", "images_8/CAM.png"),
 )
-IN_WORDS = f"{', '.join(each for each in ARRANGEMENTS if not each.endswith('.png'))} or one image per camera, here or in images/"
-# Folders that captures hold next to those of their cameras.
-NO_CAMERAS = {"images", "frames", "videos", "background", "bkgd", "mask", "masks", "bgmtv2", "schp", "depth", "path", "sparse"}
-LISTED = 24
-# File systems take no longer ones.
-LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
-JPEG = (".jpg", ".jpeg")
+IN_WORDS = f"{', '.join(each for each in USUAL if not each.endswith('.png'))} or one image per camera, here or in images/"
 
 
 class FoundFrames(NamedTuple):
-    """The frames of some cameras, and the names of others in the same arrangement."""
+    """The frames of some cameras, in the order in which these were asked for.
+
+    Attributes:
+        beside: the names of others that lie alike.
+        notes: how names were matched that are not equal, and cameras without frames.
+    """
 
     sources: dict[str, CameraFrames]
     beside: list[str]
+    notes: list[str]
 
 
-def frames_in(path: Path, arrangement: str, even_empty: bool = False) -> list[tuple[str, CameraFrames]]:
-    """Everything that may be a camera's frames in one arrangement, by name.
-
-    Args:
-        arrangement: as in `ARRANGEMENTS`.
-        even_empty: folders without images too.
-    """
-    parent, _, rest = arrangement.partition("CAM")
-    if rest == ".mp4":
-        return [(file.stem, VideoFrames(file)) for file in list_files(path / parent, VIDEO_SUFFIXES)]
-    if rest == ".png":
-        return [(file.stem, ImageFrames(file)) for file in list_images(path / parent)]
-    folders = [(entry.name, entry / rest.strip("/")) for entry in list_entries(path / parent)]
-    return [(name, ImageFrames(each)) for name, each in folders if list_images(each) or (even_empty and each.is_dir())]
-
-
-def find_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
-    """Return the frames of known cameras by the first arrangement that holds those of any.
+def find_frames(path: Path, image_names: Mapping[str, str], fewest: int = 2) -> FoundFrames:
+    """Return the frames of known cameras: of the first usual group that has those of any, else of the one that has most.
 
     Args:
         image_names: camera -> its image in the calibration, relative to ``images/`` or to the capture.
+        fewest: cameras that suffice where frames of the others are absent.
+
+    Raises:
+        CaptureError: frames of fewer cameras, several groups that are equally good, or several files of one camera.
     """
-    spelled = {same_name(name): name for name in image_names}
-    for arrangement in ARRANGEMENTS:
-        on_disk = frames_in(path, arrangement)
-        found = [(spelled[same_name(name)], frames) for name, frames in on_disk if same_name(name) in spelled]
-        if arrangement.endswith(".png"):
-            stills = _named_stills(path / arrangement.removesuffix("CAM.png"), image_names)
-            found = [*stills.items(), *((name, frames) for name, frames in found if name not in stills)]
-        if found:
-            beside = [name for name, _ in on_disk if same_name(name) not in spelled and name not in NO_CAMERAS]
-            return FoundFrames(_one_each(path, found), beside)
-    return FoundFrames({}, [])
+    fitting: dict[MediaGroup, tuple[Matches, dict[str, CameraFrames]]] = {}
+    for group in _groups(path):
+        matches = match_cameras(image_names, group.names)
+        stills = _named_stills(path / group.place, image_names) if group.kind == ".png" else {}
+        if stills or (matches.names and not (matches.how and (group.kind == ".png" or NO_CAMERA.search(group.place)))):
+            fitting[group] = matches, stills
+    best = _best(path, fitting, lambda group: (not fitting[group][0].how, *_worth(group, len(fitting[group][0].names))))
+    if best is None:
+        raise CaptureError(f"{path}: wanted frames of {listed(image_names)}, got {instead_of_frames(path, image_names)}")
+    matches, stills = fitting[best]
+    cameras = {name: camera for camera, name in matches.names.items() if camera not in stills}
+    on_disk = [(cameras[name], frames) for name, frames in best.members if name in cameras]
+    found = _one_each(path, [*stills.items(), *on_disk])
+    absent = [name for name in image_names if name not in found]
+    unread = _unread(path, absent) if absent else ""
+    if len(found) < min(fewest, len(image_names)):
+        remedy = f"but {unread}" if unread else "restore them or remove these cameras from the calibration"
+        place = next(iter(found.values())).path
+        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(absent)}, only for {place}; {remedy}")
+    beside = [name for name in best.names if name not in {*matches.names.values(), *SETS} and not NO_CAMERA.search(name)]
+    pairs = listed(f"{camera} {name}" for camera, name in matches.names.items())
+    notes = [f"cameras are matched to {best.pattern} {matches.how}: {pairs}"] if matches.how else []
+    notes += [f"{listed(absent)} left out: calibrated, but without frames" + f", {unread}" * bool(unread)] if absent else []
+    return FoundFrames({name: found[name] for name in image_names if name in found}, beside, notes)
 
 
-def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
-    """Find the frames of all of some cameras; arguments as of `find_frames`."""
-    found = find_frames(path, image_names)
-    if not found.sources:
-        raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got {instead_of_frames(path, image_names)}")
-    missing = sorted(set(image_names) - set(found.sources))
-    if missing:
-        kept = next(iter(found.sources.values())).path
-        unread = _unread(path, missing)
-        remedy = f"but {unread}" if unread else "restore them or remove these cameras from the model"
-        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)}, only for {kept}; {remedy}")
-    return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
+def _groups(path: Path) -> list[MediaGroup]:
+    """Return the groups of media below a folder, usual ones also where they are empty: pictures may lie deeper."""
+    index = index_media(path)
+    return [*({pattern: MediaGroup(pattern, []) for pattern in USUAL} | index).values()]
+
+
+def _may_be_rig(group: MediaGroup) -> bool:
+    """Tell whether a group can be the recordings of cameras of which nothing is known."""
+    return group.kind != ".png" and not NO_CAMERA.search(group.pattern)
+
+
+def _worth(group: MediaGroup, n_cameras: int) -> tuple[int, int, int]:
+    """What decides between groups that have frames of cameras: usual ones in their order go first, whatever they have."""
+    if group.pattern in USUAL:
+        return -USUAL.index(group.pattern), 0, 0
+    return -len(USUAL), n_cameras, KINDS.index(group.kind)
+
+
+def _best(path: Path, groups: Iterable[MediaGroup], worth: Callable[[MediaGroup], Any]) -> MediaGroup | None:
+    """Return the group of most worth, None of none; two of the same worth are an error."""
+    ordered = sorted(groups, key=worth)
+    equal = [group for group in ordered if worth(group) == worth(ordered[-1])]
+    if len(equal) > 1:
+        shown = listed(f"{group.pattern} ({len(group.members)})" for group in equal)
+        raise CaptureError(
+            f"{path}: wanted one set of frames of its cameras, got several: {shown}; give the folder of one to 'ggvs-eval "
+            "calibrate FOLDER RIG' (known poses: --known-poses FILE)"
+        )
+    return ordered[-1] if ordered else None
 
 
 # GoPro's chapters: GX and GH with the chapter before the recording's number; GOPR, and GP from the second one on.
-CHAPTER = re.compile(r"G[XH](?P<chapter>\d\d)(?P<recording>\d{4})|GOPR(?P<first>\d{4})|GP(?P<next>\d\d)(?P<same>\d{4})", re.I)
+CHAPTER = re.compile(r"(?:G[XH]\d\d|GOPR|GP\d\d)(\d{4})", re.I)
+COPY = re.compile(r"(.+?)[_\-. ]+[a-z]+", re.I)  # editing programs add a word to the name of a smaller copy
 
 
-def refuse_chapters(path: Path, names: Iterable[str]) -> None:
-    """Refuse files that are chapters of one recording, which a camera splits by size: each would be taken for a camera."""
+def _refuse_parts(path: Path, names: Sequence[str]) -> None:
+    """Refuse videos that are chapters of one recording, or of which each has a copy: all would be taken for cameras."""
     recordings: dict[str, list[str]] = {}
     for name in sorted(names, key=lambda name: (not name.upper().startswith("GOPR"), name)):
-        if match := CHAPTER.fullmatch(name):
-            recordings.setdefault(match["recording"] or match["first"] or match["same"], []).append(name)
-    split = {number: chapters for number, chapters in recordings.items() if len(chapters) > 1}
-    if split:
-        chapters = next(iter(split.values()))
-        shown = "; ".join(" and ".join(each) for each in split.values())
-        raise CaptureError(
-            f"{path}: wanted one video per camera, got chapters of one recording: {shown}; join each into one, in another "
-            f"folder: write \"file '{chapters[0]}.MP4'\" and the like into LIST, then ffmpeg -f concat -i LIST -c copy OUT.mp4"
-        )
+        chapter, copy = CHAPTER.fullmatch(name), COPY.fullmatch(name)
+        recording = chapter[1] if chapter else copy[1] if copy and copy[1] in names else name
+        recordings.setdefault(recording, []).append(name)
+    parts = [videos for videos in recordings.values() if len(videos) > 1]
+    is_split = any(CHAPTER.fullmatch(videos[0]) for videos in parts)
+    if not is_split and (len(parts) < 2 or {len(videos) for videos in recordings.values()} != {2}):
+        return
+    shown = "; ".join(" and ".join(videos) for videos in parts)
+    remedy = (
+        f"join each into one, in another folder: write \"file '{parts[0][0]}.MP4'\" and the like into LIST, then ffmpeg -f "
+        "concat -i LIST -c copy OUT.mp4"
+    )
+    what, remedy = ("chapters", remedy) if is_split else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
+    raise CaptureError(f"{path}: wanted one video per camera, got {what} of one recording: {shown}; {remedy}")
 
 
 def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
-    """The frames of cameras that nothing is known of, by the first arrangement that holds two or more, in the order of names.
+    """The frames of cameras that nothing is known of, in the order of names.
+
+    Of the first usual group of two or more; else of the group of most videos or folders of pictures below.
 
     Raises:
-        CaptureError: no such folder, no two cameras in it, or several files of one.
+        CaptureError: no such folder, no two cameras in it, several groups that are equally good, or several files of one camera.
     """
     if not path.is_dir():
         there = "a file" if path.exists() else "nothing there"
         raise CaptureError(f"{path}: wanted a folder with the frames of several cameras, got {there}; check the path")
-    for arrangement in ARRANGEMENTS:
-        skipped = NO_CAMERAS if arrangement.startswith("CAM/") else ()
-        found = [(name, frames) for name, frames in frames_in(path, arrangement) if name not in skipped]
-        if arrangement.endswith(".mp4"):
-            refuse_chapters(path, [name for name, _ in found])
-        if len({name for name, _ in found}) > 1:
-            return dict(sorted(_one_each(path, found).items()))
+    if sources := rig_frames(path):
+        return sources
     raise CaptureError(
         f"{path}: wanted the frames of two cameras or more, got {instead_of_frames(path)} "
         "(for a capture of another layout, 'ggvs-eval undistort' writes its frames as videos)"
     )
 
 
+def rig_frames(path: Path) -> dict[str, CameraFrames]:
+    """The same, none if there are none; errors are those of frames that are there."""
+    groups = [group for group in _groups(path) if len(set(group.names)) > 1]
+    rigs = [group for group in groups if group.pattern in USUAL or _may_be_rig(group)]
+    group = _best(path, rigs, lambda group: _worth(group, len(group.members)))
+    if group is None:
+        return {}
+    if group.kind == ".mp4":
+        _refuse_parts(path, group.names)
+    return dict(sorted(_one_each(path, group.members).items()))
+
+
 def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
     """Describe what a folder holds instead of the frames of some or all cameras, and where they belong."""
-    unread = _unread(path, names)
-    return f"none, but {unread}" if unread else f"none; put them in {IN_WORDS}"
-
-
-def listed(names: Iterable[str]) -> str:
-    """Return the names in a message, not thousands of them."""
-    names = list(names)
-    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+    if unread := _unread(path, names):
+        return f"none, but {unread}"
+    rigs = filter(_may_be_rig, index_media(path).values())
+    there = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in islice(rigs, 3))
+    return f"none, but there is {there}: call these like the cameras" if there else f"none; put them in {IN_WORDS}"
 
 
 def _unread(path: Path, names: Iterable[str]) -> str:
-    places = (path, path / "videos")
-    videos = next(filter(None, (unread_videos(place, tuple(names)) for place in places)), "")
-    folders = [place / name for name in names for place in (path / "images", path) if is_inside(name)]
-    pictures = ((folder, unread_pictures(folder)) for folder in [*folders, path / "images", path])
+    """Return what lies there in formats that are not read: videos of these cameras or, without names, of any; pictures."""
+    folders = dict.fromkeys(file.parent for file in list_files_below(path, (*UNREAD_VIDEOS, *UNREAD_PICTURES), DEEPEST))
+    videos = next(filter(None, (unread_videos(folder, tuple(names)) for folder in folders)), "")
+    pictures = ((folder, unread_pictures(folder)) for folder in folders)
     return videos or next((f"{folder} holds {unread}" for folder, unread in pictures if unread), "")
 
 
 def _named_stills(parent: Path, image_names: Mapping[str, str]) -> dict[str, CameraFrames]:
     """Single images by their very names in the calibration."""
-    files = {name: parent / image for name, image in image_names.items() if is_inside(image)}
-    return {name: ImageFrames(file) for name, file in files.items() if file.is_file()}
+    files = {name: find_picture(parent, image) for name, image in image_names.items()}
+    return {name: ImageFrames(file) for name, file in files.items() if file}
+
+
+def find_picture(parent: Path, image: str) -> Path | None:
+    """Return a picture by its name in a calibration, which may lack the suffix; None if there is none inside the folder."""
+    places = [parent / f"{image}{suffix}" for suffix in ("", *IMAGE_SUFFIXES)] if is_inside(image) else []
+    return next((place for place in places if place.is_file()), None)
+
+
+def backgrounds(folder: Path, names: Iterable[str]) -> dict[str, ImageFrames]:
+    """Return the picture of each camera in a folder of pictures without what moves.
+
+    Raises:
+        CaptureError: some cameras lack one.
+    """
+    files = {file.stem: ImageFrames(file) for file in list_images(folder)}
+    if missing := [name for name in names if name not in files]:
+        raise CaptureError(
+            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore or remove them all"
+        )
+    return files
 
 
 def _one_each(path: Path, found: list[tuple[str, CameraFrames]]) -> dict[str, CameraFrames]:
@@ -168,29 +235,3 @@ def _one_each(path: Path, found: list[tuple[str, CameraFrames]]) -> dict[str, Ca
             f"{path}: wanted one file per camera, got several called {twice}; rename the others or move them elsewhere"
         )
     return sources
-
-
-def is_inside(relative: str) -> bool:
-    """Return whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
-    if not relative.isprintable() or len(relative) >= LONGEST_PATH:
-        return False
-    path = PurePosixPath(relative)
-    fits = all(len(part.encode()) < LONGEST_NAME_BYTES for part in path.parts)
-    return fits and bool(path.name) and not path.is_absolute() and ".." not in path.parts
-
-
-def coding_of(source: FrameSource, frames: range) -> Coding | None:
-    """State how frames were coded.
-
-    Returns:
-        None if every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
-    """
-    stored = source
-    while hasattr(stored, "source"):  # undistorted, held still, or with noise added
-        stored = stored.source
-    if isinstance(stored, VideoFrames):
-        changed = Coding(unknown="frames were changed after they were coded")
-        return read_coding(stored.path, frames) if stored is source else changed
-    if isinstance(stored, ImageFrames) and Path(stored.files[0]).suffix.lower() in JPEG:
-        return Coding(unknown="frames are JPEG images")
-    return None

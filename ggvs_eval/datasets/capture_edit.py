@@ -4,8 +4,9 @@ With an instant held still nothing moves, so that any motion in a rendering of i
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,45 +56,46 @@ class NoisyFrames:
 
 
 @dataclass(frozen=True)
-class HeldFrames:
-    """One frame of one camera, again and again, a `FrameSource`."""
+class PickedFrames:
+    """Frames of one camera at some instants, a `FrameSource`, and a `DepthSource` where its source is one.
 
-    source: FrameSource
-    frame: int
-    n_frames: int
+    Attributes:
+        source: all frames, or all depth.
+        indices: of the source, ascending; one that repeats is read once.
+    """
+
+    source: Any
+    indices: tuple[int, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of instants."""
+        return len(self.indices)
 
     @property
     def digest(self) -> str:
         """Identifies the content."""
-        return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
+        return digest_values(self.source.digest, "picked", *map(str, self.indices))
 
-    def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Yield the frame, decoded once, for each of start <= t < stop."""
-        if start < stop:
-            still = next(self.source.frames(self.frame, self.frame + 1))
-            for _ in range(start, stop):
-                yield still.copy()
+    def frames(self, start: int, stop: int) -> Iterator[NDArray[Any]]:
+        """Yield frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+        return self._pick(self.source.frames, start, stop)
 
+    def depths(self, start: int, stop: int) -> Iterator[NDArray[Any]]:
+        """Yield the depth of frames start <= t < stop one by one."""
+        return self._pick(self.source.depths, start, stop)
 
-@dataclass(frozen=True)
-class HeldDepths:
-    """Measured depth of one instant, again and again, a `DepthSource`."""
-
-    source: DepthSource
-    frame: int
-    n_frames: int
-
-    @property
-    def digest(self) -> str:
-        """Identifies the content."""
-        return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
-
-    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Yield the depth, read once, for each of start <= t < stop."""
-        if start < stop:
-            still = next(self.source.depths(self.frame, self.frame + 1))
-            for _ in range(start, stop):
-                yield still.copy()
+    def _pick(self, read: Callable[[int, int], Iterator[NDArray[Any]]], start: int, stop: int) -> Iterator[NDArray[Any]]:
+        indices = self.indices[start:stop]
+        if not indices:
+            return
+        last = indices[0]
+        values = read(last, indices[-1] + 1)
+        value = next(values)
+        for index in indices:
+            while last < index:
+                value, last = next(values), last + 1
+            yield value.copy()
 
 
 def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
@@ -136,17 +138,17 @@ def _check(capture: Capture, edit: CaptureEdit) -> None:
 
 
 def _edited(name: str, source: FrameSource, edit: CaptureEdit) -> FrameSource:
-    held = HeldFrames(source, edit.hold_frame, edit.hold_frames) if edit.hold_frames else source
+    held = _held(source, edit) if edit.hold_frames else source
     return NoisyFrames(held, name, edit.sensor_noise_255, edit.noise_seed) if edit.sensor_noise_255 else held
 
 
 def _held_extras(extras: Extras, edit: CaptureEdit) -> Extras:
     mask, depth = extras.mask, extras.depth
-    return replace(
-        extras,
-        mask=mask and HeldFrames(mask, edit.hold_frame, edit.hold_frames),
-        depth=depth and HeldDepths(depth, edit.hold_frame, edit.hold_frames),
-    )
+    return replace(extras, mask=mask and _held(mask, edit), depth=depth and _held(depth, edit))
+
+
+def _held(source: FrameSource | DepthSource, edit: CaptureEdit) -> PickedFrames:
+    return PickedFrames(source, (edit.hold_frame,) * edit.hold_frames)
 
 
 def _describe(edit: CaptureEdit) -> str:

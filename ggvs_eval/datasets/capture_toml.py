@@ -10,16 +10,15 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import Crop, SizedSource, assemble_capture, check_rig_size, crop_lens, given_crop
-from ggvs_eval.datasets.colmap_model import undistorted
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.rig import RigCamera, pinhole_rig, undistorted
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import UNREAD_VIDEOS, VIDEO_SUFFIXES, find_below, unread_videos
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.lens import Lens, LensModel
+from ggvs_eval.lens import PIXEL_CENTRE, Lens, LensModel
 
 FILE = "capture.toml"
 Numbers = tuple[float, ...]
@@ -111,11 +110,12 @@ def load(path: Path, units: GivenUnits) -> Capture:
             raise CaptureError(f"{file}: {key} must be positive, got {value:g}; correct or drop it")
     frames = [_source(file, camera.frames) for camera in table.camera]
     crop = given_crop(file.parent)
-    lenses = [_lens(*each, table.pixel_centre, crop, file) for each in zip(table.camera, frames, strict=True)]
-    rig = [_placed(*each, file) for each in zip(table.camera, lenses, poses, strict=True)]
-    cameras = ranged_cameras(rig, file)
-    sources = [undistorted(source, lens, pinhole.K) for source, lens, pinhole in zip(frames, lenses, cameras, strict=True)]
-    extras = [_extras(file, *each) for each in zip(table.camera, lenses, cameras, sources, strict=True)]
+    rig = []
+    for camera, pose, source in zip(table.camera, poses, frames, strict=True):
+        lens = _lens(file, camera, source.size, PIXEL_CENTRE if table.pixel_centre == "whole" else 0.0, crop)
+        rig.append(RigCamera(camera.name, lens, pose, _near_far(file, camera)))
+    cameras, sources = pinhole_rig(rig, frames, file)
+    extras = [_extras(file, *each) for each in zip(table.camera, [one.lens for one in rig], cameras, sources, strict=True)]
     table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
     chosen = choose_units(file.parent, units, cameras, of_data_set=table_units)
     fps = None if any(isinstance(source, VideoFrames) for source in sources) else table.fps
@@ -130,7 +130,7 @@ def _pose(camera: CameraTable, file: Path) -> Array:
     given = [matrix for matrix in (camera.world_to_camera, camera.camera_to_world) if matrix is not None]
     if len(given) != 1:
         raise CaptureError(f"{file}: camera {camera.name} wants one of world_to_camera and camera_to_world, got {len(given)}")
-    pose = _matrix(given[0], 4, f"{file}: pose of {camera.name}")
+    pose = as_matrix(given[0], 4, f"{file}: pose of {camera.name}")
     if not np.array_equal(pose[3], (0, 0, 0, 1)):
         last_row = f"{pose[3].tolist()}; transpose it where points are rows"
         raise CaptureError(f"{file}: the last row of the pose of {camera.name} must be 0 0 0 1, got {last_row}")
@@ -141,35 +141,31 @@ def _pose(camera: CameraTable, file: Path) -> Array:
     return np.asarray(np.linalg.inv(pose), dtype=np.float64)
 
 
-def _matrix(rows: Matrix, size: int, what: str) -> Array:
+def as_matrix(rows: Matrix, size: int, what: str) -> Array:
+    """Return rows of as many numbers as a square array; `what` is named in errors."""
     if [len(row) for row in rows] != [size] * size:
         raise CaptureError(f"{what} must be {size} rows of {size} numbers, got rows of {[len(row) for row in rows]}")
     return np.array(rows, dtype=np.float64)
 
 
-def _lens(camera: CameraTable, frames: SizedSource, pixel_centre: str, crop: Crop | None, file: Path) -> Lens:
+def _lens(file: Path, camera: CameraTable, frames: tuple[int, int], shift_px: float, crop: Crop | None) -> Lens:
     """Return the lens of the frames: where they are a part of the calibrated picture, of that part."""
     if camera.crop is not None and len(camera.crop) != 2:
         raise CaptureError(f"{file}: camera {camera.name}: wanted crop = [column, row], got {list(camera.crop)}; correct it")
-    K = _matrix(camera.K, 3, f"{file}: K of {camera.name}")
-    if pixel_centre == "whole":
-        K[:2, 2] += 0.5
+    K = as_matrix(camera.K, 3, f"{file}: K of {camera.name}")
+    K[:2, 2] += shift_px
     table = camera.distortion or LensTable("opencv", (0.0,) * 4)
     try:
         lens = Lens(K, table.model, table.coefficients, camera.width, camera.height)
-        return crop_lens(camera.name, lens, frames.size, Crop(*camera.crop) if camera.crop else crop)
+        return crop_lens(camera.name, lens, frames, Crop(*camera.crop) if camera.crop else crop)
     except CameraError as error:
         raise CaptureError(f"{file}: camera {camera.name}: {error}") from error
 
 
-def _placed(table: CameraTable, lens: Lens, pose: Array, file: Path) -> Placed:
-    if (table.near is None) != (table.far is None):
-        raise CaptureError(f"{file}: camera {table.name} wants near and far or neither; add the other")
-    given = None if table.near is None or table.far is None else (table.near, table.far)
-    try:
-        return Placed(table.name, lens.undistorted_K(), pose, (lens.width, lens.height), given)
-    except CameraError as error:
-        raise CaptureError(f"{file}: {error}") from error
+def _near_far(file: Path, camera: CameraTable) -> tuple[float, float] | None:
+    if (camera.near is None) != (camera.far is None):
+        raise CaptureError(f"{file}: camera {camera.name} wants near and far or neither; add the other")
+    return None if camera.near is None or camera.far is None else (camera.near, camera.far)
 
 
 def _source(file: Path, relative: str) -> SizedSource:

@@ -10,30 +10,27 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
-from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN, Placed, ranged_cameras
-from ggvs_eval.datasets.frames import as_calibrated
-from ggvs_eval.datasets.undistort import UndistortedFrames
+from ggvs_eval.datasets.assemble import check_rig_size
+from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
+from ggvs_eval.datasets.rig import RigCamera
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.lens import Lens
+from ggvs_eval.lens import Lens, LensModel
 from ggvs_eval.side_process import SideProcess, SideProcessError
 
 READER_TIMEOUT_S = 600
 _READER = SideProcess(Path(__file__).with_name("colmap_reader.py"))  # by its file: its name would import every other reader
-# COLMAP's camera models: how many focal lengths, and the positions of its further parameters among OpenCV's coefficients.
-OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
-    "SIMPLE_PINHOLE": (1, 4, ()),
-    "PINHOLE": (2, 4, ()),
-    "SIMPLE_RADIAL": (1, 4, (0,)),
-    "RADIAL": (1, 4, (0, 1)),
-    "OPENCV": (2, 4, (0, 1, 2, 3)),
-    "FULL_OPENCV": (2, 8, (0, 1, 2, 3, 4, 5, 6, 7)),
-}
-FISHEYE_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
-    "SIMPLE_RADIAL_FISHEYE": (1, 4, (0,)),
-    "RADIAL_FISHEYE": (1, 4, (0, 1)),
-    "OPENCV_FISHEYE": (2, 4, (0, 1, 2, 3)),
-}
+# COLMAP's lenses that OpenCV can express, with their parameters in order.
+LENSES = """
+    SIMPLE_PINHOLE f cx cy
+    PINHOLE fx fy cx cy
+    SIMPLE_RADIAL f cx cy k1
+    RADIAL f cx cy k1 k2
+    OPENCV fx fy cx cy k1 k2 p1 p2
+    FULL_OPENCV fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
+    SIMPLE_RADIAL_FISHEYE f cx cy k1
+    RADIAL_FISHEYE f cx cy k1 k2
+    OPENCV_FISHEYE fx fy cx cy k1 k2 k3 k4"""
+COEFFICIENTS = {"fisheye": "k1 k2 k3 k4", "opencv": "k1 k2 p1 p2", "rational": "k1 k2 p1 p2 k3 k4 k5 k6"}
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 
 
@@ -56,8 +53,8 @@ class CalibratedView:
     quaternion_length: float = 1.0
 
 
-def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camera]:
-    """Return the pinhole cameras of the views' undistorted images, by name; `path` is the file named in errors.
+def rig_of_views(views: Mapping[str, CalibratedView]) -> list[RigCamera]:
+    """Return the rig of named views.
 
     Reading:
         near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points that a view sees. Points are for
@@ -67,13 +64,8 @@ def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camer
     for name, view in views.items():
         seen = view.depth_percentiles
         near_far = (NEAR_MARGIN * seen[0], FAR_MARGIN * seen[2]) if seen else None
-        try:
-            rig.append(
-                Placed(name, view.lens.undistorted_K(), view.world_to_camera, (view.lens.width, view.lens.height), near_far)
-            )
-        except CameraError as error:
-            raise CaptureError(f"{path}: {name}: {error}") from error
-    return ranged_cameras(rig, path)
+        rig.append(RigCamera(name, view.lens, view.world_to_camera, near_far))
+    return rig
 
 
 def median_depths(views: Iterable[CalibratedView]) -> list[float]:
@@ -103,26 +95,6 @@ def read_model(folder: Path) -> list[CalibratedView]:
     return [_view(folder, image) for image in images]
 
 
-def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
-    """Return the frames as pinhole frames; the source itself where the lens does not distort.
-
-    Args:
-        source: frames at the size of the calibration, or uniformly scaled.
-        K: of the pinhole image at the size of the calibration.
-    """
-    source = as_calibrated(source, lens.width, lens.height)
-    if lens.is_pinhole:
-        return source
-    width, height = source.size
-    scale = np.diag([width / lens.width, height / lens.height, 1.0])
-    return UndistortedFrames(source, lens.resized(width, height), scale @ K)
-
-
-def undistorted_sources(sources: Sequence[SizedSource], lenses: Sequence[Lens], cameras: Sequence[Camera]) -> list[SizedSource]:
-    """`undistorted` for all cameras of a rig."""
-    return [undistorted(source, lens, camera.K) for source, lens, camera in zip(sources, lenses, cameras, strict=True)]
-
-
 def _view(folder: Path, image: dict[str, Any]) -> CalibratedView:
     name = image["name"]
     world_to_camera = np.vstack([image["world_to_camera"], [0.0, 0.0, 0.0, 1.0]])
@@ -139,20 +111,18 @@ def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int)
     Raises:
         CameraError: a model that OpenCV cannot express, or parameters that do not fit it.
     """
-    models = OPENCV_MODELS | FISHEYE_MODELS
-    if model not in models:
+    lenses = {name: keys for name, *keys in map(str.split, LENSES.strip().splitlines())}
+    if model not in lenses:
         remedy = "undistort images and model by 'colmap image_undistorter' first"
-        raise CameraError(f"wanted one of {', '.join(models)}, got {model}; {remedy}")
-    n_focal, n_coefficients, positions = models[model]
-    if len(params) != n_focal + 2 + len(positions) or not np.isfinite(params).all():
-        raise CameraError(f"wanted {n_focal + 2 + len(positions)} finite parameters of {model}, got {list(params)}")
-    fx, fy = params[0], params[n_focal - 1]
-    cx, cy = params[n_focal : n_focal + 2]
-    coefficients = [0.0] * n_coefficients
-    for position, value in zip(positions, params[n_focal + 2 :], strict=True):
-        coefficients[position] = float(value)
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return Lens(K, "fisheye" if model in FISHEYE_MODELS else "opencv", tuple(coefficients), width, height)
+        raise CameraError(f"wanted one of {', '.join(lenses)}, got {model}; {remedy}")
+    if len(params) != len(lenses[model]) or not np.isfinite(params).all():
+        raise CameraError(f"wanted {len(lenses[model])} finite parameters of {model}, got {list(params)}")
+    values = dict(zip(lenses[model], map(float, params), strict=True))
+    kind: LensModel = "fisheye" if model.endswith("FISHEYE") else "opencv"
+    keys = COEFFICIENTS["rational" if "k6" in values else kind].split()
+    fx, fy = (values.get(key, values.get("f")) for key in ("fx", "fy"))
+    K = np.array([[fx, 0.0, values["cx"]], [0.0, fy, values["cy"]], [0.0, 0.0, 1.0]])
+    return Lens(K, kind, tuple(values.get(key, 0.0) for key in keys), width, height)
 
 
 class Sightings(NamedTuple):

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource
+from ggvs_eval.capture import Capture, Extras, FrameSource
+from ggvs_eval.datasets.capture_edit import PickedFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_values
@@ -52,47 +52,31 @@ class CorrectionsTable:
 
 @dataclass(frozen=True)
 class CorrectedFrames:
-    """Frames of one camera from a later one on, divided by its gain, a `FrameSource`.
+    """Frames of one camera divided by its gain, a `FrameSource`.
 
     Attributes:
-        start: its frame that becomes frame 0.
         gain: of red, green and blue.
     """
 
     source: FrameSource
-    start: int
-    n_frames: int
     gain: tuple[float, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return self.source.n_frames
 
     @property
     def digest(self) -> str:
         """Identifies the content."""
-        return digest_values(self.source.digest, "corrected", str(self.start), str(self.n_frames), *map(repr, self.gain))
+        return digest_values(self.source.digest, "corrected", *map(repr, self.gain))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Yield the frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         levels = np.arange(256)[:, None] / np.array(self.gain)
         table = round_levels(levels)[:, None]  # (256, 1, 3)
-        for image in self.source.frames(start + self.start, stop + self.start):
-            yield image if self.gain == NO_GAIN else np.asarray(cv2.LUT(image, table), np.uint8)
-
-
-@dataclass(frozen=True)
-class ShiftedDepths:
-    """Measured depth of one camera from a later frame on, a `DepthSource`; attributes as of `CorrectedFrames`."""
-
-    source: DepthSource
-    start: int
-    n_frames: int
-
-    @property
-    def digest(self) -> str:
-        """Identifies the content."""
-        return digest_values(self.source.digest, "shifted", str(self.start), str(self.n_frames))
-
-    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Yield the depth of frames start <= t < stop one by one."""
-        yield from self.source.depths(start + self.start, stop + self.start)
+        for image in self.source.frames(start, stop):
+            yield np.asarray(cv2.LUT(image, table), np.uint8)
 
 
 def corrections_file(path: Path) -> Path:
@@ -159,10 +143,13 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
         raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
     starts = [latest - each.offset_frames for each in chosen]
     sources = [
-        CorrectedFrames(source, start, n_frames, each.gain) if n_frames < capture.n_frames or each.gain != NO_GAIN else source
+        _corrected(source, range(start, start + n_frames), each.gain)
         for source, start, each in zip(capture.sources, starts, chosen, strict=True)
     ]
-    extras = [_corrected_extras(*each, n_frames) for each in zip(capture.extras, starts, chosen, strict=False)]
+    extras = [
+        _corrected_extras(extra, range(start, start + n_frames), each.gain)
+        for extra, start, each in zip(capture.extras, starts, chosen, strict=False)
+    ]
     note = f"corrected by {file.name}: {describe_corrections(corrections)}"
     return replace(
         capture,
@@ -174,12 +161,18 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
     )
 
 
-def _corrected_extras(extras: Extras, start: int, correction: Correction, n_frames: int) -> Extras:
+def _corrected(source: FrameSource, frames: range, gain: tuple[float, ...]) -> FrameSource:
+    """Return some frames of a source, divided by a gain; the source itself where that changes nothing."""
+    picked = source if frames == range(source.n_frames) else PickedFrames(source, tuple(frames))
+    return picked if gain == NO_GAIN else CorrectedFrames(picked, gain)
+
+
+def _corrected_extras(extras: Extras, frames: range, gain: tuple[float, ...]) -> Extras:
     background, mask, depth = extras.background, extras.mask, extras.depth
     return Extras(
-        background=background and CorrectedFrames(background, 0, background.n_frames, correction.gain),
-        mask=mask and CorrectedFrames(mask, start, n_frames, NO_GAIN),
-        depth=depth and ShiftedDepths(depth, start, n_frames),
+        background=background and _corrected(background, range(background.n_frames), gain),
+        mask=mask and _corrected(mask, frames, NO_GAIN),
+        depth=depth and PickedFrames(depth, tuple(frames)),
     )
 
 

@@ -6,16 +6,15 @@ A guess is made from where the rig looks, or from a cloud of points.
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, RangeOrigin
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.units import GUESSED, guess_units_per_metre
-from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.geometry.epipolar import Features, find_features, match_pair, neighbour_pairs, remoteness, sound_matches
@@ -50,35 +49,6 @@ class GivenDepthRange:
 
     near: float
     far: float
-
-
-class Placed(NamedTuple):
-    """A camera whose depth range its capture may not give.
-
-    Attributes:
-        K: intrinsics of its pinhole image, (3, 3).
-        world_to_camera: (4, 4).
-        size: (width, height), pixels.
-        near_far: depth range, world units; None if the capture gives none.
-    """
-
-    name: str
-    K: Array
-    world_to_camera: Array
-    size: tuple[int, int]
-    near_far: tuple[float, float] | None = None
-
-
-def ranged_cameras(rig: Sequence[Placed], file: Path) -> list[Camera]:
-    """Return the cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed."""
-    guesses = rig_depth_range([each.world_to_camera for each in rig])
-    cameras = []
-    for (name, K, pose, size, given), guess in zip(rig, guesses, strict=True):
-        try:
-            cameras.append(Camera(name, K, pose, *size, *(given or guess), range_origin="given" if given else "guessed"))
-        except CameraError as error:
-            raise CaptureError(f"{file}: {error}") from error
-    return cameras
 
 
 def given_depth_range(path: Path) -> tuple[float, float] | None:

@@ -4,7 +4,7 @@ The two camera files are OpenCV's YAML with one entry per camera and quantity.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,17 +13,20 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import CameraFrames, find_frames, listed
-from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
-from ggvs_eval.datasets.depth_range import Placed, points_depth_range, ranged_cameras, read_points, rig_depth_range
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.calibration_readers import FileCamera
+from ggvs_eval.datasets.camera_frames import CameraFrames, backgrounds, find_frames
+from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.media import members
+from ggvs_eval.datasets.rig import RigCamera, pinhole_rig, undistorted
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files, list_images
-from ggvs_eval.lens import PIXEL_CENTRE, Lens, check_K_size
+from ggvs_eval.files.listing import list_files, list_images
+from ggvs_eval.files.names import listed
+from ggvs_eval.lens import PIXEL_CENTRE, Lens
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
 MASK_FOLDERS = ("mask", "masks", "bgmtv2", "schp")
@@ -35,31 +38,7 @@ OUTDOOR_FPS = 60.0
 MARGIN = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class EasyMocapView:
-    """One camera of the files.
-
-    Attributes:
-        name: as in ``names``.
-        K: intrinsics at the size of the calibration, pixel centres at halves.
-        world_to_camera: (4, 4).
-        size: (width, height) of the calibration; None if the file does not say.
-        near_far: depth range; None if the file does not say.
-    """
-
-    name: str
-    K: Array
-    coefficients: tuple[float, ...]
-    world_to_camera: Array
-    size: tuple[int, int] | None
-    near_far: tuple[float, float] | None
-
-    def lens(self, frame_size: tuple[int, int]) -> Lens:
-        """The lens at the size of the calibration, which is taken to be that of the frames where the file names no size."""
-        return Lens(self.K, "opencv", self.coefficients, *(self.size or frame_size))
-
-
-def read_views(intrinsics: Path, extrinsics: Path) -> tuple[list[EasyMocapView], list[str]]:
+def read_views(intrinsics: Path, extrinsics: Path) -> tuple[list[FileCamera], list[str]]:
     """Read both files.
 
     Args:
@@ -76,44 +55,34 @@ def read_views(intrinsics: Path, extrinsics: Path) -> tuple[list[EasyMocapView],
         Where both are there, R_ counts, as ENeRF reads it. The camera centre is -R^T T. OpenCV's principal point is moved by half
         a pixel to this package's pixel centres.
     """
-    intri, extri = FileStorageYaml(intrinsics), FileStorageYaml(extrinsics)
-    names = _names(intri, intrinsics)
-    check_rig_size(intrinsics, len(names))
+    extri = FileStorageYaml(extrinsics)
+    lenses = read_lenses(intrinsics)
+    placed = [name for name in lenses if any(extri.has(f"{key}_{name}") for key in ("R", "Rot", "T"))]
     views = []
-    placed = [name for name in names if any(extri.has(f"{key}_{name}") for key in ("R", "Rot", "T"))]
     for name in placed:
-        K = intri.matrix(f"K_{name}", (3, 3))
-        K[:2, 2] += PIXEL_CENTRE
-        size = intri.number(f"W_{name}"), intri.number(f"H_{name}")
-        near_far = extri.number(f"n_{name}"), extri.number(f"f_{name}")
-        view = EasyMocapView(
-            name,
-            K,
-            _coefficients(intri, name),
-            _pose(extri, name),
-            (int(size[0]), int(size[1])) if size[0] and size[1] else None,
-            (near_far[0], near_far[1]) if near_far[0] and near_far[1] else None,
-        )
-        try:
-            view.lens(view.size or (1, 1))
-        except CameraError as error:
-            raise CaptureError(f"{intrinsics}: {name}: {error}") from error
-        views.append(view)
-    return views, [name for name in names if name not in placed]
+        near, far = extri.number(f"n_{name}"), extri.number(f"f_{name}")
+        near_far = (near, far) if near and far else None
+        views.append(replace(lenses[name], world_to_camera=_pose(extri, name), near_far=near_far))
+    return views, [name for name in lenses if name not in placed]
 
 
-def _names(intri: FileStorageYaml, path: Path) -> list[str]:
-    names = intri.texts("names")
+def read_lenses(path: Path) -> dict[str, FileCamera]:
+    """Read ``intri.yml``, the first file of `read_views`; gives the cameras by name, without poses."""
+    file = FileStorageYaml(path)
+    names = file.texts("names")
     if not all(names) or not names or len(set(names)) < len(names):
         raise refused(path, "names: a sequence of different camera names", ", ".join(names) or "none")
-    return names
-
-
-def _coefficients(intri: FileStorageYaml, name: str) -> tuple[float, ...]:
-    for key in (f"dist_{name}", f"D_{name}"):
-        if intri.has(key):
-            return tuple(intri.matrix(key, None).ravel())
-    return (0.0,) * 5
+    check_rig_size(path, len(names))
+    cameras = {}
+    for name in names:
+        K = file.matrix(f"K_{name}", (3, 3))
+        K[:2, 2] += PIXEL_CENTRE
+        key = next((key for key in (f"dist_{name}", f"D_{name}") if file.has(key)), None)
+        coefficients = tuple(map(float, file.matrix(key, None).ravel())) if key else (0.0,) * 5
+        width, height = file.number(f"W_{name}"), file.number(f"H_{name}")
+        size = (round(width), round(height)) if width and height else None
+        cameras[name] = FileCamera(name, K, "opencv", coefficients, size, None)
+    return cameras
 
 
 def _pose(extri: FileStorageYaml, name: str) -> Array:
@@ -131,8 +100,8 @@ def refuse(path: Path) -> str | None:
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
-    places = [folder for folder in list_entries(path / "images") if folder.is_dir()]
-    return None if places or list_files(path / "videos", VIDEO_SUFFIXES) else "no folders images/XX/ and no videos/XX.mp4"
+    is_filmed = any(members(path, pattern, ".*") for pattern in ("images/CAM/", "videos/CAM.mp4"))
+    return None if is_filmed else "no folders images/XX/ and no videos/XX.mp4"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -145,46 +114,39 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     views, frames, notes = _filmed(path)
     sources = [frames[view.name] for view in views]
-    try:
-        for view, source in zip(views, sources, strict=True):
-            check_K_size(view.K, view.size or source.size, is_stated=bool(view.size))
-    except CameraError as error:
-        raise CaptureError(f"{path / INTRINSICS}: {view.name}: {error} (as W_{view.name} and H_{view.name})") from error
-    lenses = [view.lens(source.size) for view, source in zip(views, sources, strict=True)]
+    lenses = []
+    for view, source in zip(views, sources, strict=True):
+        try:
+            lenses.append(view.lens(source.size))
+        except CameraError as error:
+            raise CaptureError(f"{path / INTRINSICS}: {view.name}: {error} (as W_{view.name} and H_{view.name})") from error
     is_outdoor = (path / HULLS).is_dir()
-    depths = _depth_ranges(path, views, lenses)
-    rig = [
-        Placed(view.name, lens.K, view.world_to_camera, (lens.width, lens.height), given)
-        for view, lens, given in zip(views, lenses, depths, strict=True)
-    ]
-    cameras = ranged_cameras(rig, path / EXTRINSICS)
-    pinhole = undistorted_sources(sources, lenses, cameras)
+    poses = [view.world_to_camera for view in views if view.world_to_camera is not None]
+    depths = _depth_ranges(path, [view.near_far for view in views], poses, lenses)
+    names = [view.name for view in views]
+    rig = [RigCamera(*each, each[1].K) for each in zip(names, lenses, poses, depths, strict=True)]
+    extras = _extras(path, dict(zip(names, lenses, strict=True)), sources[0].n_frames)
+    cameras, pinhole = pinhole_rig(rig, sources, path / EXTRINSICS)
     chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
-    extras = _extras(path, {view.name: lens for view, lens in zip(views, lenses, strict=True)}, sources[0].n_frames)
     return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras, notes=notes)
 
 
-def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, CameraFrames], list[str]]:
+def _filmed(path: Path) -> tuple[list[FileCamera], dict[str, CameraFrames], list[str]]:
     """Return the cameras with a pose and frames, their frames, and notes on those that are left out."""
     placed, unplaced = read_views(path / INTRINSICS, path / EXTRINSICS)
-    frames, beside = find_frames(path, {view.name: f"{view.name}.png" for view in placed})
-    views = [view for view in placed if view.name in frames]
-    left_out = {
-        f"not placed in {EXTRINSICS}": unplaced,
-        "no frames": [view.name for view in placed if view.name not in frames],
-        f"not in {INTRINSICS}": sorted(set(beside) - set(unplaced)),
-    }
-    notes = [f"{listed(names)} left out: {why}" for why, names in left_out.items() if names]
-    if len(views) < 2:
-        raise CaptureError(
-            f"{path}: wanted two or more cameras with a pose and frames in images/XX/ or videos/XX.mp4, got "
-            f"{listed([view.name for view in views]) or 'none'} ({'; '.join(notes)}); rename frames like their cameras"
-        )
-    return views, frames, notes
+    frames, beside, notes = find_frames(path, {view.name: f"{view.name}.png" for view in placed})
+    strange = sorted(set(beside) - set(unplaced))
+    notes += [f"{listed(unplaced)} left out: not placed in {EXTRINSICS}"] if unplaced else []
+    notes += [f"{listed(strange)} left out: not in {INTRINSICS}"] if strange else []
+    if len(frames) < 2:
+        raise CaptureError(f"{path}: wanted two or more cameras with a pose, got {listed(frames)} ({'; '.join(notes)})")
+    return [view for view in placed if view.name in frames], frames, notes
 
 
-def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float] | None]:
+def _depth_ranges(
+    path: Path, given: Sequence[tuple[float, float] | None], poses: Sequence[Array], lenses: Sequence[Lens]
+) -> list[tuple[float, float] | None]:
     """Near and far of each camera; None if the capture says nothing of them.
 
     Reading:
@@ -193,14 +155,14 @@ def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[L
     """
     corners = _hull_corners(path)
     background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else np.empty((0, 3))
-    guesses = rig_depth_range([view.world_to_camera for view in views])
+    guesses = rig_depth_range(poses)
     ranges: list[tuple[float, float] | None] = []
-    for view, lens, (_, guessed_far) in zip(views, lenses, guesses, strict=True):
-        depths = corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]
-        surfaces = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
+    for near_far, pose, lens, (_, guessed_far) in zip(given, poses, lenses, guesses, strict=True):
+        depths = corners @ pose[2, :3] + pose[2, 3]
+        surfaces = points_depth_range(background, pose, lens.K, (lens.width, lens.height))
         is_in_front = bool(corners.size and depths.min() > 0)
-        if view.near_far is not None or not (is_in_front or surfaces):
-            ranges.append(view.near_far)
+        if near_far is not None or not (is_in_front or surfaces):
+            ranges.append(near_far)
             continue
         near = depths.min() if is_in_front or surfaces is None else surfaces[0]
         far = max(surfaces[2] if surfaces else guessed_far / (1 + MARGIN), depths.max(initial=0.0))
@@ -225,7 +187,9 @@ def _hull_corners(path: Path) -> Array:
 
 def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extras]:
     """Backgrounds and masks, where the sequence has them; backgrounds must be there for all cameras or none."""
-    backgrounds = _backgrounds(path, lenses)
+    pictures: Mapping[str, ImageFrames] = {}
+    if place := next((path / name for name in BACKGROUND_FOLDERS if list_images(path / name)), None):
+        pictures = backgrounds(place, lenses)
     folder = next((path / name for name in MASK_FOLDERS if (path / name).is_dir()), None)
     extras = []
     for name, lens in lenses.items():
@@ -234,19 +198,8 @@ def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extra
         if mask is not None and mask.n_frames != n_frames:
             counts = f"{mask.n_frames} for {n_frames} frames"
             raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them or remove the folder")
-        extras.append(Extras(background=backgrounds.get(name), mask=mask))
+        extras.append(Extras(background=undistorted(pictures[name], lens, lens.K) if pictures else None, mask=mask))
     return extras
-
-
-def _backgrounds(path: Path, lenses: Mapping[str, Lens]) -> dict[str, SizedSource]:
-    folder = next((path / name for name in BACKGROUND_FOLDERS if (path / name).is_dir()), None)
-    files = {file.stem: file for file in list_images(folder)} if folder else {}
-    missing = [name for name in lenses if name not in files]
-    if files and missing:
-        raise CaptureError(
-            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore or remove them all"
-        )
-    return {name: undistorted(ImageFrames(files[name]), lens, lens.K) for name, lens in lenses.items() if files}
 
 
 LAYOUT = DatasetSpec(

@@ -78,27 +78,21 @@ class FileStorageYaml:
         if not self.has(key):
             raise self._refused(f"an entry {key}", "none")
         if PLAIN_NUMBERS.fullmatch(self.entries[key]):
-            values = PLAIN_NUMBER.findall(self.entries[key])
-            rows, columns = shape or (len(values), 1)
-            fields = {"rows": f"{rows}", "cols": f"{columns}", "data": f"[{','.join(values)}]"}
+            items = PLAIN_NUMBER.findall(self.entries[key])
+            rows, columns = shape or (len(items), 1)
         else:
-            fields = self._fields(key)
-        items = [item for item in fields["data"].strip("[]").split(",") if item.strip()]
-        size = f"{fields['rows']} x {fields['cols']}"
-        if not fields["rows"].isdecimal() or not fields["cols"].isdecimal() or len(size) > 12:
-            raise self._refused(f"rows and cols of {key}", size)
-        rows, columns = int(fields["rows"]), int(fields["cols"])
+            rows, columns, items = self._fields(key)
         if len(items) != rows * columns or not items:
-            raise self._refused(f"{size} numbers in {key}", f"{len(items)}")
+            raise self._refused(f"{rows} x {columns} numbers in {key}", f"{len(items)}")
         if shape is not None and len(items) != shape[0] * shape[1]:
-            raise self._refused(f"{shape[0]} x {shape[1]} numbers in {key}", size)
+            raise self._refused(f"{shape[0]} x {shape[1]} numbers in {key}", f"{rows} x {columns}")
         matrix = np.array([_number(item) for item in items])
         if not np.isfinite(matrix).all():
             raise self._refused(f"finite numbers in {key}", items[int(np.flatnonzero(~np.isfinite(matrix))[0])])
         return matrix.reshape(shape or (rows, columns))
 
-    def _fields(self, key: str) -> dict[str, str]:
-        """Return the four fields of a matrix as texts."""
+    def _fields(self, key: str) -> tuple[int, int, list[str]]:
+        """Return rows, columns and the numbers of a matrix, as texts."""
         value = self.entries[key]
         fields = dict(FIELD.findall(value))
         is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith("rows")
@@ -106,7 +100,11 @@ class FileStorageYaml:
             raise self._refused(f"!!opencv-matrix with rows, cols, dt and data in {key}", value or "nothing")
         if _unquoted(fields.get("dt", "d")) not in ELEMENT_TYPES:
             raise self._refused(f"one number per element in {key}, such as dt: d", f"dt: {fields['dt']}")
-        return fields
+        size = f"{fields['rows']} x {fields['cols']}"
+        if not fields["rows"].isdecimal() or not fields["cols"].isdecimal() or len(size) > 12:
+            raise self._refused(f"rows and cols of {key}", size)
+        items = fields["data"].strip("[]").split(",")
+        return int(fields["rows"]), int(fields["cols"]), [item for item in items if item.strip()]
 
     def _split(self, lines: list[str]) -> None:
         """Cut the file at the lines that begin a key; what is indented, or continues with a list, belongs to the key before."""

@@ -1,5 +1,6 @@
 """Images on disk as sources of frames: a folder with one image per instant, or a single image."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,16 +11,21 @@ from statistics import median
 from typing import TypeVar
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.capture import FrameSource
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
 from ggvs_eval.files.names import Fields, Number, is_stamp, numbers_in
 from ggvs_eval.files.picture_header import SEEN_THROUGH, UPRIGHT, PictureHeader, read_picture_header, transparent_share
 from ggvs_eval.files.plain import NotPlainError
+from ggvs_eval.files.video import VideoFrames
 
 Source = TypeVar("Source")
 LISTED = 5
+JPEG = (".jpg", ".jpeg")
+COLOUR = re.compile(r"(?<![a-z])(rgba?|colou?r|image|img|frame)(?![a-z])", re.I)  # words for pictures that a camera took
 LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median a frame is missing
 
 
@@ -34,17 +40,12 @@ class ImageFrames:
     Attributes:
         path: folder of images, or one image.
         as_stored: use the pixels as stored; else turn them by their EXIF tags.
-        chosen: the images in the order of time, where a file lists them; else those of the folder.
+        numbered: frame numbers and images, in any order, where several cameras share the folder or a file lists them.
     """
 
     path: Path
     as_stored: bool = field(default=False, kw_only=True)
-    chosen: tuple[Path, ...] = field(default=(), kw_only=True)
-
-    @classmethod
-    def listed(cls, files: tuple[Path, ...]) -> "ImageFrames":
-        """Return the frames that a file lists, in the order of time."""
-        return cls(files[0].parent, chosen=files)
+    numbered: tuple[tuple[Number, Path], ...] = field(default=(), kw_only=True)
 
     @property
     def n_frames(self) -> int:
@@ -54,11 +55,11 @@ class ImageFrames:
     @cached_property
     def files(self) -> tuple[Path, ...]:
         """The images in the order of time."""
-        if self.chosen:
-            return self.chosen
+        if self.numbered:
+            return self._in_time(self.numbered)
         if self.path.is_file():
             return (self.path,)
-        files = list_images(self.path)
+        files = _in_colour(list_images(self.path))
         if not files:
             instead = unread_pictures(self.path) or "none"
             raise CaptureError(
@@ -70,11 +71,20 @@ class ImageFrames:
             raise CaptureError(f"{self.path}: wanted images whose numbers can be read in one way, got {error}") from error
         return self._in_time(list(zip(numbers, files, strict=True)))
 
+    @property
+    def other_kinds(self) -> tuple[str, ...]:
+        """What pictures beside the frames are called: normals, segments; nothing where the folder holds colour alone."""
+        if self.numbered or self.path.is_file():
+            return ()
+        return tuple(sorted(set(map(_kind, list_images(self.path))) - set(map(_kind, self.files))))
+
     @cached_property
     def numbers(self) -> tuple[Number, ...]:
         """The numbers of the images in the order of time; none of a single image, nor of time stamps, which are measured."""
         files = self.files
-        numbers = [] if self.path.is_file() or self.chosen else numbers_in([file.stem for file in files])
+        if self.numbered:
+            return tuple(sorted(number for number, _ in self.numbered))
+        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in files])
         counts = tuple(number for number in numbers if number is not None and not is_stamp(number))
         return counts if len(counts) == len(files) else ()
 
@@ -169,28 +179,17 @@ class ImageFrames:
             )
 
 
-@dataclass(frozen=True)
-class NumberedFrames(ImageFrames):
-    """The frames of one camera where those of several share a folder, or each instant has one; else as `ImageFrames`.
+def _kind(file: Path) -> str:
+    """Return the text of a name, without its numbers."""
+    return re.sub(r"\d+", "", file.stem)
 
-    Attributes:
-        path: what messages name: the folder that holds them all.
-        numbered: frame numbers and images, in any order.
-    """
 
-    numbered: tuple[tuple[Number, Path], ...]
-
-    @cached_property
-    def files(self) -> tuple[Path, ...]:
-        """The images in the order of time."""
-        if not self.numbered:
-            raise CaptureError(f"{self.path}: wanted images of every camera, got none of one; restore them")
-        return self._in_time(self.numbered)
-
-    @cached_property
-    def numbers(self) -> tuple[Number, ...]:
-        """The numbers of the images in the order of time."""
-        return tuple(sorted(number for number, _ in self.numbered))
+def _in_colour(files: list[Path]) -> list[Path]:
+    """Return the pictures in colour where as many of several kinds are there, else all."""
+    counts = Counter(map(_kind, files))
+    colour = [kind for kind in counts if COLOUR.search(kind)]
+    is_one = len(colour) == 1 and len(set(counts.values())) == 1
+    return [file for file in files if _kind(file) == colour[0]] if is_one else files
 
 
 def as_calibrated(frames: Source, width: int, height: int) -> Source:
@@ -224,3 +223,20 @@ def _read_header(file: Path) -> PictureHeader:
         reason = "whose header states too many pixels" if is_large else "that do not open"
         content = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
         raise CaptureError(f"{file}: wanted an image, got {content}; restore this frame") from error
+
+
+def coding_of(source: FrameSource, frames: range) -> Coding | None:
+    """State how frames were coded.
+
+    Returns:
+        None if every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
+    """
+    stored = source
+    while hasattr(stored, "source"):  # undistorted, held still, or with noise added
+        stored = stored.source
+    if isinstance(stored, VideoFrames):
+        changed = Coding(unknown="frames were changed after they were coded")
+        return read_coding(stored.path, frames) if stored is source else changed
+    if isinstance(stored, ImageFrames) and Path(stored.files[0]).suffix.lower() in JPEG:
+        return Coding(unknown="frames are JPEG images")
+    return None

@@ -2,10 +2,10 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -13,43 +13,24 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import find_frames, listed
-from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, known_depths
+from ggvs_eval.datasets.camera_frames import find_frames
+from ggvs_eval.datasets.entries import plain_numbers
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.rig import RigCamera, pinhole_camera, pinhole_cameras, pinhole_rig
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import find_below
+from ggvs_eval.files.names import is_inside
 from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens
 
 MODELS = "models.json"
 # What every camera of the file must say, and how many numbers each is.
-NUMBERS = {
-    "principal_point": 2,
-    "pixel_aspect_ratio": 1,
-    "focal_length": 1,
-    "position": 3,
-    "orientation": 3,
-    "width": 1,
-    "height": 1,
-}
+NUMBERS = "principal_point 2 pixel_aspect_ratio 1 focal_length 1 position 3 orientation 3 width 1 height 1"
 CAMERA = re.compile(r"camera_\d{1,6}")
 FISHEYE: Final = "fisheye"
-# Number of a scene -> its nearest and farthest depth in metres, as HyperReel (Attal et al., CVPR 2023) samples it.
-SCENE_DEPTHS_M = {
-    "01": (0.25, 6.0),
-    "02": (1.0, 10.0),
-    "04": (0.5, 10.0),
-    "05": (0.5, 45.0),
-    "07": (0.5, 50.0),
-    "09": (0.5, 30.0),
-    "10": (0.25, 6.0),
-    "11": (0.25, 6.0),
-    "12": (0.5, 20.0),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +68,7 @@ def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
         ``orientation`` is the rotation vector of world to camera, ``position`` the camera's centre, and the principal point
         counts from the image's corner.
     """
-    values = {key: read_numbers(file, model, key, count, where) for key, count in NUMBERS.items()}
+    values = {key: read_numbers(file, model, key, int(count), where) for key, count in re.findall(r"(\w+) (\d)", NUMBERS)}
     focal_px, aspect = *values["focal_length"], *values["pixel_aspect_ratio"]
     (cx, cy), (width,), (height,) = values["principal_point"], values["width"], values["height"]
     if width < 1 or height < 1:
@@ -103,14 +84,13 @@ def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
 def read_numbers(file: Path, model: Any, key: str, count: int, where: str) -> list[float]:
     """Read `count` numbers of one key, whether the file holds a list or a single one; otherwise as `read_camera_model`."""
     value = model.get(key) if isinstance(model, Mapping) else None
-    numbers: list[Any] = value if isinstance(value, list) else [value]
-    right = len(numbers) == count and all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
-    # Beyond this nothing is a length or an angle, and whole numbers may not even fit a float.
-    if not right or not all(abs(each) < 1e9 for each in numbers):
+    numbers = plain_numbers(value).ravel()
+    # Beyond this nothing is a length or an angle.
+    if len(numbers) != count or not (np.abs(numbers) < 1e9).all():
         requirement = f"{count} finite numbers" if count > 1 else "a finite number"
         content = f"{value!r:.60}" if isinstance(model, Mapping) else f"{model!r:.60} for the camera"
         raise CaptureError(f"{file}: wanted {requirement} as {key} of {where}, got {content}; copy the scene again")
-    return [float(each) for each in numbers]
+    return [*map(float, numbers)]
 
 
 class _SpacesView(NamedTuple):
@@ -128,37 +108,29 @@ def _refuse(cameras: str, described: str, path: Path) -> str | None:
     return None if any(path.glob(cameras)) else f"{MODELS}, but no {described}"
 
 
-def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | None = None) -> Capture:
-    """Open a scene; every camera at every chosen position of the rig is one camera of a single instant, ``pos00_cam03``.
+def load_positions(path: Path, units: GivenUnits) -> Capture:
+    """Open a scene; every camera at every position of the rig is one camera of a single instant, ``pos00_cam03``.
 
     Args:
         path: folder of the scene, with ``models.json`` and ``cam_XX/image_YYY.JPG``.
         units: world units per metre or a file that says how to measure them; the data set is metric when None.
-        positions: positions of the rig, counted from 0; all of them when None.
 
     Raises:
-        CaptureError: no such position, ``models.json`` is damaged, or an image is missing, damaged or of another shape.
+        CaptureError: ``models.json`` is damaged, or an image is missing, damaged or of another shape.
 
     Reading:
         The images are taken for scaled, not cropped, where their size differs from that in the file.
     """
-    views = _read_position(path)
-    chosen = range(len(views)) if positions is None else positions
-    absent = sorted(position for position in chosen if not 0 <= position < len(views))
-    if absent:
-        lacking = ", ".join(map(str, absent))
-        raise CaptureError(
-            f"{path / MODELS}: wanted rig position {lacking}, the scene has 0..{len(views) - 1}; choose among these"
-        )
-    rig = iter(ranged_cameras([_placed(view) for at in views for view in at], path / MODELS))
-    by_position = [[(next(rig), view) for view in at] for at in views]
-    taken = [each for position in chosen for each in by_position[position]]
-    cameras, sources = [camera for camera, _ in taken], [_image(view) for _, view in taken]
+    rig, sources = [], []
+    for view in _read_positions(path):
+        sources.append(_image(view))
+        rig.append(_placed(path / MODELS, view, sources[-1].size))
+    cameras = pinhole_cameras(rig, path / MODELS)
     return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
-def _read_position(path: Path) -> list[list[_SpacesView]]:
-    """Return the views of each position of the rig."""
+def _read_positions(path: Path) -> list[_SpacesView]:
+    """Return the views of all positions of the rig."""
     file = path / MODELS
     models = load_models(file)
     if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
@@ -166,7 +138,8 @@ def _read_position(path: Path) -> list[list[_SpacesView]]:
             f"{file}: wanted a list over rig positions of lists of cameras, got another structure; copy the scene again"
         )
     check_rig_size(file, sum(map(len, models)))
-    return [[_read_spaces_view(path, index, camera, model) for camera, model in enumerate(at)] for index, at in enumerate(models)]
+    numbered = [(position, *camera) for position, at in enumerate(models) for camera in enumerate(at)]
+    return [_read_spaces_view(path, *view) for view in numbered]
 
 
 def _read_spaces_view(path: Path, position: int, camera: int, model: Any) -> _SpacesView:
@@ -179,15 +152,7 @@ def _read_spaces_view(path: Path, position: int, camera: int, model: Any) -> _Sp
 def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Path:
     """Return the image of a camera, which must be inside the scene's folder."""
     relative = model.get("relative_path", usual)
-    parts = PurePosixPath(relative).parts if isinstance(relative, str) else ()
-    if (
-        not parts
-        or parts[0] == "/"
-        or ".." in parts
-        or not relative.isprintable()
-        or set(relative) & set("\\:")
-        or len(relative) > 200
-    ):
+    if not isinstance(relative, str) or not is_inside(relative) or set(relative) & set("\\:"):
         remedy = "correct the file before you trust it"
         raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {remedy}")
     return find_below(path, relative)
@@ -199,9 +164,9 @@ def _image(view: _SpacesView) -> ImageFrames:
     return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
 
 
-def _placed(view: _SpacesView) -> Placed:
+def _placed(file: Path, view: _SpacesView, size: tuple[int, int]) -> RigCamera:
     """Return the camera at the size of its image on disk."""
-    model, (width, height) = view.model, _image(view).size
+    model, (width, height) = view.model, size
     if not has_shape((width, height), (model.width, model.height)):
         calibrated = f"{model.width:g} x {model.height:g}"
         raise CaptureError(
@@ -209,19 +174,12 @@ def _placed(view: _SpacesView) -> Placed:
             "give images that are scaled but not cropped"
         )
     K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
-    return Placed(view.name, K, model.world_to_camera, (width, height))
+    return pinhole_camera(file, view.name, K, size, model.world_to_camera)
 
 
 SPACES_LAYOUT = DatasetSpec(
     "models.json with cam_XX/ (Google Spaces)", partial(_refuse, "cam_*", "cam_XX/"), load_positions, ("models.json",)
 )
-
-
-class _ImmersiveView(NamedTuple):
-    name: str
-    model: CameraModel
-    lens: Lens
-    K: Array  # of its pinhole image
 
 
 def load_immersive(path: Path, units: GivenUnits) -> Capture:
@@ -239,23 +197,16 @@ def load_immersive(path: Path, units: GivenUnits) -> Capture:
         by the number its folder begins with.
     """
     views = _read_immersive(path / MODELS)
-    frames = find_frames(path, {view.name: view.name for view in views}).sources
-    if not frames:
-        raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
-    filmed = [view for view in views if view.name in frames]
-    sources = [frames[view.name] for view in filmed]
-    depths = SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
-    rig = [Placed(view.name, view.K, view.model.world_to_camera, (view.lens.width, view.lens.height), depths) for view in filmed]
-    cameras = ranged_cameras(rig, path / MODELS)
-    pinhole = undistorted_sources(sources, [view.lens for view in filmed], cameras)
-    absent = [view.name for view in views if view.name not in frames]
-    notes = [f"{listed(absent)} left out: in {MODELS}, but without frames"] if absent else []
-    return assemble_capture(
-        path, "immersive", cameras, pinhole, choose_units(path, units, cameras, of_data_set=METRIC), notes=notes
-    )
+    found = find_frames(path, {view.name: view.name for view in views})
+    filmed = [view for view in views if view.name in found.sources]
+    depths = known_depths("immersive", path.resolve().name.partition("_")[0])
+    rig = [view._replace(near_far=depths) for view in filmed]
+    cameras, pinhole = pinhole_rig(rig, [found.sources[view.name] for view in filmed], path / MODELS)
+    chosen = choose_units(path, units, cameras, of_data_set=METRIC)
+    return assemble_capture(path, "immersive", cameras, pinhole, chosen, notes=found.notes)
 
 
-def _read_immersive(file: Path) -> list[_ImmersiveView]:
+def _read_immersive(file: Path) -> list[RigCamera]:
     models = load_models(file)
     if not isinstance(models, list) or not models:
         raise CaptureError(f"{file}: wanted a list of cameras, got another structure; copy the scene again")
@@ -263,7 +214,7 @@ def _read_immersive(file: Path) -> list[_ImmersiveView]:
     return [_read_immersive_view(file, index, model) for index, model in enumerate(models)]
 
 
-def _read_immersive_view(file: Path, index: int, model: Any) -> _ImmersiveView:
+def _read_immersive_view(file: Path, index: int, model: Any) -> RigCamera:
     calibrated = read_camera_model(file, model, f"camera {index}")
     name = model.get("name")
     if not isinstance(name, str) or not CAMERA.fullmatch(name):
@@ -282,7 +233,7 @@ def _read_immersive_view(file: Path, index: int, model: Any) -> _ImmersiveView:
         )
     try:
         lens = Lens(calibrated.K, FISHEYE, (k1, k2, 0.0, 0.0), round(calibrated.width), round(calibrated.height))
-        return _ImmersiveView(name, calibrated, lens, lens.undistorted_K())
+        return RigCamera(name, lens, calibrated.world_to_camera, K=lens.undistorted_K())
     except CameraError as error:
         raise CaptureError(f"{file}: {name}: {error}") from error
 

@@ -13,9 +13,9 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files, digest_values
+from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import check_plain
 
-LISTED = 8
 # What a file claims is believed up to here; one frame of 16k x 5k, or one chunk of several smaller ones.
 LARGEST_BLOCK_BYTES = 1 << 28
 # Deflate, shuffle, checksum, LZF. Others would load code from a plug-in.
@@ -146,9 +146,7 @@ def _opened(path: Path, part: str) -> Iterator[Any]:
 
     with _opened_file(path) as file:
         if not file.id.links.exists(part.encode()):
-            raise CaptureError(
-                f"{path}: wanted a dataset {part!r}, there is {', '.join(list(file)[:LISTED]) or 'none'}; copy again"
-            )
+            raise CaptureError(f"{path}: wanted a dataset {part!r}, there is {listed(file) or 'none'}; copy again")
         # Links are looked at, not followed: they may lead into any other file.
         linked = file.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD
         stored = None if linked else file[part]

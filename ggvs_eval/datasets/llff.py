@@ -14,28 +14,26 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import CameraFrames, frames_in, listed
-from ggvs_eval.datasets.colmap import instant_pictures, numbered_folders
-from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames
+from ggvs_eval.datasets.camera_frames import backgrounds
+from ggvs_eval.datasets.find_cameras import find_marked
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.media import CameraFrames, index_media, members
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
-from ggvs_eval.datasets.unread_files import find_marked
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.listing import unread_videos
+from ggvs_eval.files.names import listed
 from ggvs_eval.kernels.portable import transformed
 
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100
 POSES = "poses_bounds.npy"
-FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
-VIDEO = re.compile(r"cam_(\d{1,4})")
-PICTURE = re.compile(r"cam(\d{1,4})")
-INSTANT = re.compile(r"(\d{4})")
-FRAMES = ("frames", ".")
+CAMERA_NAME = re.compile(r"(?:cam)?\d+")
+FRAMES = ("", "frames/")
 
 
 class LlffPose(NamedTuple):
@@ -124,7 +122,8 @@ def _to_row(pose: LlffPose) -> Array:
     return np.concatenate([matrix.ravel(), [pose.near, pose.far]])
 
 
-PLACES = ("CAM.mp4", "CAM/images/", *(f"{folder}/CAM/" for folder in FRAME_FOLDERS), "images/CAM/")
+PLACES = ("CAM.mp4", "CAM/images/", "frames/CAM/", "frames_2/CAM/", "frames_4/CAM/", "frames_8/CAM/", "images/CAM/", "CAM/")
+BACKGROUND = "background"
 STILLS = ("images/CAM.png", "images_4/CAM.png", "images_8/CAM.png")  # one picture per camera, as LLFF has them
 ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of stills, images/NAME.jpg"
 
@@ -139,8 +138,8 @@ def refuse_dynerf(path: Path) -> str | None:
     return f"{POSES}, but no frames ({unread or ARRANGEMENTS})"
 
 
-def load_dynerf(path: Path, units: GivenUnits) -> Capture:
-    """Open a DyNeRF capture with any number of cameras.
+def load_dynerf(path: Path, units: GivenUnits, layout: str = "dynerf") -> Capture:
+    """Open a DyNeRF capture with any number of cameras, with its backgrounds where it has them (D3DMV).
 
     Reading:
         Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
@@ -148,48 +147,49 @@ def load_dynerf(path: Path, units: GivenUnits) -> Capture:
         ``images/`` alone are LLFF's: one instant, one camera each.
     """
     sources = _find_sources(path)
-    check_rig_size(path, len(sources))
-    poses = read_llff_poses(path / POSES)
-    if len(poses) != len(sources):
-        raise CaptureError(
-            f"{path / POSES}: wanted one row for each of the {len(sources)} cameras on disk ({_describe(list(sources))}), "
-            f"got {len(poses)} rows; restore the missing {'videos' if len(poses) > len(sources) else 'rows'}"
-        )
-    cameras = [llff_camera(pose, name, path / POSES) for pose, name in zip(poses, sources, strict=True)]
+    cameras = posed_cameras(path / POSES, list(sources))
     stills = all(isinstance(source, ImageFrames) and source.path.is_file() for source in sources.values())
     if stills and (marked := find_marked(path)):
-        raise CaptureError(f"{path}: {marked[0].relative_to(path)} is {marked[1].name}; {marked[1].advice}")
+        raise CaptureError(f"{path}: {marked[0].relative_to(path)} is {marked[1]}; {marked[2]}")
     notes = [f"the pictures beside {POSES} are taken as one instant of {len(sources)} cameras"] if stills else []
-    return assemble_capture(path, "dynerf", cameras, list(sources.values()), choose_units(path, units, cameras), notes=notes)
+    extras = []
+    if layout == "d3dmv" and (path / BACKGROUND).is_dir():
+        pictures = backgrounds(path / BACKGROUND, sources)
+        extras = [Extras(background=pictures[name]) for name in sources]
+    frames = list(sources.values())
+    return assemble_capture(path, layout, cameras, frames, choose_units(path, units, cameras), extras=extras, notes=notes)
 
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:
     """Return the frames of each camera in the order of names, by the first arrangement that is there."""
+    index = index_media(path)
     for place in PLACES:
-        name = r"\d+" if place.startswith("images/") else r"cam\d+"
-        sources = dict(sorted(found for found in frames_in(path, place, even_empty=True) if re.fullmatch(name, found[0])))
-        if sources:
-            _check_name_lengths(path, list(sources))
+        named = dict(index[place].members) if place in index else {}
+        if sources := {name: named[name] for name in sorted(named) if CAMERA_NAME.fullmatch(name)}:
             return dict(sources)
-    return next((dict(sorted(stills)) for stills in (frames_in(path, place) for place in STILLS) if stills), {})
+    return next((dict(sorted(index[place].members)) for place in STILLS if place in index), {})
 
 
-def _check_name_lengths(path: Path, names: list[str]) -> None:
-    if len({len(name) for name in names}) > 1:
-        mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
+def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
+    """Return the cameras of a pose file, whose rows are in the order of these names.
+
+    Raises:
+        CaptureError: numbers in names without leading zeros, which have no safe order, or another number of rows.
+    """
+    check_rig_size(file, len(names))
+    lengths = {len(name): name for name in names if CAMERA_NAME.fullmatch(name)}
+    if len(lengths) > 1:
+        mismatch = f"{lengths[min(lengths)]} and {lengths[max(lengths)]}"
         raise CaptureError(
-            f"{path}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of {POSES}"
+            f"{file}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of rows"
         )
-
-
-def _describe(names: list[str]) -> str:
-    """Return the names in a few words: first, last, and the numbers missing between them."""
-    if not all(name.removeprefix("cam").isdecimal() for name in names):
-        return f"{names[0]}..{names[-1]}"
-    numbers = {int(name.removeprefix("cam")) for name in names}
-    missing = sorted(set(range(min(numbers), max(numbers))) - numbers)
-    without = f" without {', '.join(map(str, missing))}" if missing else ""
-    return f"{names[0]}..{names[-1]}{without}"
+    poses = read_llff_poses(file)
+    if len(poses) != len(names):
+        raise CaptureError(
+            f"{file}: wanted one row for each of the {len(names)} cameras on disk ({listed(names)}), got {len(poses)} rows; "
+            f"restore the missing {'cameras' if len(poses) > len(names) else 'rows'}"
+        )
+    return [llff_camera(pose, name, file) for pose, name in zip(poses, names, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -229,9 +229,10 @@ DYNERF_LAYOUT = DatasetSpec(f"poses_bounds.npy with {ARRANGEMENTS}", refuse_dyne
 
 def refuse_meetroom(path: Path) -> str | None:
     """Return the reason why this folder is no MeetRoom capture, or None if it is one."""
-    if _videos(path):
-        return None if (path / POSES).is_file() else f"cam_<N>.mp4, but no {POSES}"
-    return None if _instants(path) else f"neither cam_<N>.mp4 nor 0000/images/cam00.png with {POSES}"
+    sources, poses_file = _numbered(path)
+    if not sources:
+        return f"neither cam_<N>.mp4 nor 0000/images/cam00.png with {POSES}"
+    return None if poses_file.is_file() else f"cam_<N>.mp4, but no {POSES}"
 
 
 def load_meetroom(path: Path, units: GivenUnits) -> Capture:
@@ -245,44 +246,24 @@ def load_meetroom(path: Path, units: GivenUnits) -> Capture:
         Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02 before it sorts. One focal length
         and a central principal point, as LLFF has it; the poses of the first instant count, which StreamRF copies to the others.
     """
-    sources: dict[int, SizedSource] = dict(_videos(path))
-    poses_file = path / POSES
-    if not sources:
-        instants = _instants(path)
-        sources, poses_file = dict(_pictures(path, instants)), next(iter(instants.values())) / POSES
-    check_rig_size(path, len(sources))
-    poses = read_llff_poses(poses_file)
-    if len(poses) != len(sources):
-        there = listed([f"cam_{number}" for number in sorted(sources)])
-        raise CaptureError(
-            f"{poses_file}: wanted one row for each of the {len(sources)} cameras on disk ({there}), got {len(poses)}; "
-            f"restore the missing {'cameras' if len(poses) > len(sources) else 'rows'}"
-        )
+    sources, poses_file = _numbered(path)
     numbers = sorted(sources)
-    cameras = [llff_camera(pose, f"cam{number:02d}", poses_file) for pose, number in zip(poses, numbers, strict=True)]
+    cameras = posed_cameras(poses_file, [f"cam{number:02d}" for number in numbers])
     frames = [sources[number] for number in numbers]
     return assemble_capture(path, "meetroom", cameras, frames, choose_units(path, units, cameras))
 
 
-def _videos(path: Path) -> dict[int, CameraFrames]:
-    """Return camera number -> its video."""
-    videos = [(VIDEO.fullmatch(name), video) for name, video in frames_in(path, "CAM.mp4")]
-    return {int(match[1]): video for match, video in videos if match}
-
-
-def _instants(path: Path) -> dict[int, Path]:
-    """Return the folders of the instants by their numbers, in the order of time."""
-    for parent in (path / name for name in FRAMES):
-        folders = numbered_folders(parent, INSTANT)
-        if folders and (next(iter(folders.values())) / POSES).is_file():
-            return folders
-    return {}
-
-
-def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames]:
-    """Return camera number -> its pictures."""
-    matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
-    return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}
+def _numbered(path: Path) -> tuple[dict[int, CameraFrames], Path]:
+    """Return camera number -> its frames, and the pose file: beside the videos, or in the folder of the first instant."""
+    videos = members(path, "CAM.mp4", r"cam_\d{1,4}")
+    if videos:
+        return {int(name.removeprefix("cam_")): video for name, video in videos.items()}, path / POSES
+    for place in FRAMES:
+        poses = min((path / place).glob(f"[0-9]*/{POSES}"), default=None)
+        pictures = members(path, f"{place}*/images/CAM.png", r"cam\d{1,4}")
+        if poses and pictures:
+            return {int(name.removeprefix("cam")): frames for name, frames in pictures.items()}, poses
+    return {}, path / POSES
 
 
 MEETROOM_LAYOUT = DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", refuse_meetroom, load_meetroom)

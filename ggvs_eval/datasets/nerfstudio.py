@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,37 +13,40 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import is_inside, listed, require_frames
-from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.camera_frames import find_frames, find_picture
+from ggvs_eval.datasets.entries import unknown_entries
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.rig import RigCamera, pinhole_rig
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.listing import IMAGE_SUFFIXES
-from ggvs_eval.files.names import camera_names, numbers_in
+from ggvs_eval.files.names import camera_names, listed, numbers_in
 from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens, check_K_size
 
 # One file, or NeRF's one per split, whose cameras are those of one rig; the last are its test views.
 TRANSFORMS, SPLITS, TEST = "transforms.json", ("train", "val", "test"), "test"
 TEST_IMAGES = "test_filenames"  # of one file, nerfstudio's word for a split
-PINHOLE_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE_MODEL = "OPENCV_FISHEYE"
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", FISHEYE_MODEL)
 MATRICES = ("K", "intrinsics", "intrinsic_matrix", "camera_intrinsics")
-FOCAL_LENGTHS = ("fl_x", "camera_angle_x", "fl_y", "camera_angle_y")
-USED = {*MATRICES, *FOCAL_LENGTHS, "camera_model", "is_fisheye", "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"}
+FOCAL_LENGTHS = ("fl_x", "camera_angle_x", "x_fov", "fl_y", "camera_angle_y", "y_fov")
 RECORDED = "pictures of a camera"  # in the order of time, of a rig that a file lists at several instants
 FRAME_NUMBER = re.compile(r"[_\-. ]+(frame|f|t)?\d+$", re.I)
 AXES_LENGTH = "length of the axes"  # of a pose as the file has it
-USED |= {RECORDED, AXES_LENGTH, "frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
-# Of other programs, and without a say in where a pixel looks: bounds of the scene, other files, names and times.
-HARMLESS = {"aabb_scale", "scale", "offset", "aabb", "render_aabb", "from_na", "sharpness", "ply_file_path", "applied_transform"}
-HARMLESS |= {"applied_scale", "orientation_override", "train_filenames", "val_filenames", "colmap_im_id"}
-HARMLESS |= {"mask_path", "depth_file_path", "camera_label", "camera_id", "cam_id", "timestamp", "rotation", "depth_path"}
-HARMLESS |= {"auto_scale_poses_override", "auto_scale_poses", "fps", "integer_depth_scale", "frame_id", "name"}
-# OpenGL's camera looks along -z with y up, this package's along +z with y down.
+SPLIT = "split of the file"
+# OpenGL's camera looks along -z with y up, this package's along +z with y down. instant-ngp reads two programs' poses in axes
+# of their own: Mitsuba's camera looks along +z with x to the left, NeuS2's has this package's axes.
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+AXES = {"from_mitsuba": np.diag([-1.0, -1.0, 1.0, 1.0]), "from_na": np.eye(4)}
+READ = """
+    camera_model is_fisheye w h cx cy k1 k2 k3 k4 p1 p2 frames file_path transform_matrix near far time test_filenames"""
+# Of other programs, and without a say in where a pixel looks: bounds of the scene, other files, names and times.
+HARMLESS = """
+    aabb_scale scale offset aabb render_aabb sharpness ply_file_path applied_transform applied_scale orientation_override
+    train_filenames val_filenames colmap_im_id mask_path depth_file_path camera_label camera_id cam_id timestamp rotation
+    depth_path auto_scale_poses_override auto_scale_poses fps integer_depth_scale frame_id name fisheye_crop_radius"""
+KNOWN = {*MATRICES, *FOCAL_LENGTHS, *AXES, RECORDED, AXES_LENGTH, SPLIT, *READ.split(), *HARMLESS.split()}
 
 
 def refuse(path: Path) -> str | None:
@@ -54,7 +57,7 @@ def refuse(path: Path) -> str | None:
 def load(path: Path, units: GivenUnits) -> Capture:
     """Open a capture of a fixed rig; cameras are called as their images or folders, in the order of names.
 
-    Frames are those of `require_frames`: videos or image folders of that name, else the one image itself.
+    Frames are those of `find_frames`: videos or image folders of that name, else the one image itself.
 
     Args:
         path: folder that holds ``transforms.json``, or ``transforms_train.json`` and its like for other splits.
@@ -64,25 +67,15 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Reading:
         Cameras of split files are one rig; those of ``transforms_test.json``, or named by ``test_filenames``, become its test
-        views. Frames of one pose are one camera, whose instants are in the order of their times, else of the numbers in their
-        names; different times of different poses are refused: they are one camera that moves. ``is_fisheye`` is
-        instant-ngp's word for ``OPENCV_FISHEYE``. The size is that of the pictures where the file says none, a suffix that of
-        the picture that is there.
+        views. Where pictures of two splits are called alike, the split is part of the name: ``train_r_0``, ``test_r_0``. A
+        camera without a picture is left out, with a note: some programs list views that they never rendered. Frames of one pose
+        are one camera, whose instants are in the order of their times, else of the numbers in their names; different times of
+        different poses are refused: they are one camera that moves. ``is_fisheye`` is instant-ngp's word for
+        ``OPENCV_FISHEYE``. The size is that of the pictures where the file says none, a suffix that of the picture that is
+        there.
     """
     files = _files(path)
-    frames: dict[str, dict[str, Any]] = {}
-    test_views: list[str] = []
-    for file in files:
-        named = _read_frames(file)
-        twice = sorted(set(frames) & set(named))
-        if twice:
-            raise CaptureError(
-                f"{file}: wanted cameras of different names, got {listed(twice)} twice; rename the pictures of one"
-            )
-        frames |= named
-        test_views += [
-            name for name, frame in named.items() if file.stem.endswith(TEST) or frame["file_path"] in frame.get(TEST_IMAGES, ())
-        ]
+    frames = _read_rig(files)
     times = {frame.get("time") for frame in frames.values()}
     if len(times) > 1:
         raise CaptureError(
@@ -90,30 +83,37 @@ def load(path: Path, units: GivenUnits) -> Capture:
             "dynamic scene; give videos of several cameras"
         )
     names = sorted(frames)
+    notes: list[str] = []
     counts = {name: len(frames[name].get(RECORDED, (name,))) for name in names}
     if len(set(counts.values())) > 1:
         shown = listed(f"{name} {count}" for name, count in counts.items())
         raise CaptureError(f"{files[0]}: wanted as many instants of each camera, got {shown}; list each camera at every time")
     if counts[names[0]] > 1:
-        sources: list[SizedSource] = [ImageFrames.listed(_recorded(path, frames[name][RECORDED])) for name in names]
+        sources: list[SizedSource] = [_recorded(path, frames[name][RECORDED]) for name in names]
     else:
-        found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})
+        found = find_frames(path, {name: _image(frames[name]["file_path"]) for name in names})
+        notes += found.notes
+        names = list(found.sources)
         sources = list(found.sources.values())
-    placed, lenses = zip(
-        *(_placed(files, name, frames[name], source) for name, source in zip(names, sources, strict=True)), strict=True
-    )
-    cameras = ranged_cameras(placed, files[0])
-    pinhole = undistorted_sources(sources, lenses, cameras)
-    unknown = sorted({key for frame in frames.values() for key in frame} - USED - HARMLESS)
-    notes = [f"{', '.join(each.name for each in files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
+    rig = [_rig_camera(files[0], name, frames[name], source) for name, source in zip(names, sources, strict=True)]
+    unknown = sorted({key for name in names for key in unknown_entries(files[0], frames[name], KNOWN)})
+    notes += [f"{_named(files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
     lengths = {name: frame[AXES_LENGTH] for name, frame in frames.items() if abs(frame[AXES_LENGTH] - 1) > 2 * LARGEST_DEVIATION}
     if lengths:
         notes.append(
             f"axes of {listed(lengths)} have the length {next(iter(lengths.values())):.4g}: brought to 1, places as they are"
         )
+    test_views = [
+        name for name in names if frames[name][SPLIT] == TEST or frames[name]["file_path"] in frames[name].get(TEST_IMAGES, ())
+    ]
+    cameras, pinhole = pinhole_rig(rig, sources, files[0])
     return assemble_capture(
-        path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=sorted(test_views)
+        path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=test_views
     )
+
+
+def _named(files: Sequence[Path]) -> str:
+    return ", ".join(file.name for file in files)
 
 
 def _files(path: Path) -> list[Path]:
@@ -121,21 +121,33 @@ def _files(path: Path) -> list[Path]:
     return [file for file in files if file.is_file()]
 
 
-def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
-    """Entries of the cameras by name; keys that a frame lacks are taken from the top of the file."""
+def _read_rig(files: Sequence[Path]) -> dict[str, dict[str, Any]]:
+    """Entries of the cameras of all files by name."""
+    described = [frame for file in files for frame in _read_frames(file)]
+    names = _names(described)
+    if len(set(names)) < len(names) and len(files) > 1:
+        names = [f"{frame[SPLIT]}_{PurePosixPath(frame['file_path']).stem}" for frame in described]
+    if len(set(names)) < len(names) or not names:
+        raise _refused(files[0], ValueError(f"{len(names)} frames of {len(set(names))} cameras"))
+    return dict(zip(names, described, strict=True))
+
+
+def _split(file: Path) -> str:
+    return file.stem.rpartition("_")[2]
+
+
+def _read_frames(file: Path) -> list[dict[str, Any]]:
+    """Entries of the cameras of a file; keys that a frame lacks are taken from the top of the file."""
     try:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(file, len(values["frames"]))
-        described = [{**values, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
+        given = {**values, SPLIT: _split(file)}
+        described = [{**given, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
         for frame in described:
             frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)
-        described = _rig_over_time(described)
-        frames = dict(zip(_names(described), described, strict=True))
-        if len(frames) != len(described) or not frames:
-            raise ValueError(f"{len(described)} frames of {len(frames)} cameras")
+        return _rig_over_time(described)
     except (OSError, ValueError, TypeError, KeyError, RecursionError, AttributeError, ArithmeticError) as error:
         raise _refused(file, error) from error
-    return frames
 
 
 def _rig_over_time(described: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -148,21 +160,20 @@ def _rig_over_time(described: list[dict[str, Any]]) -> list[dict[str, Any]]:
         by_pose.setdefault(np.round(frame["transform_matrix"], 6).tobytes(), []).append(frame)
     if len(by_pose) == len(described) or len({frame["file_path"] for frame in described}) < len(described):
         return described
-    groups = [sorted(group, key=_instant_of(group)) for group in by_pose.values()]
+    groups = [_in_time(group) for group in by_pose.values()]
     times = {tuple(frame.get("time") for frame in group) for group in groups}
     if len({len(group) for group in groups}) > 1 or len(times) > 1:
         return described
     return [{**group[0], "time": None, RECORDED: [frame["file_path"] for frame in group]} for group in groups]
 
 
-def _instant_of(group: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, Any]], Any]:
-    """Return what orders the frames of one camera: their times, else the numbers in their names, else their place."""
-    paths = [frame["file_path"] for frame in group]
+def _in_time(group: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the frames of one camera by their times, else by the numbers in their names, else as they are."""
     if all("time" in frame for frame in group):
-        return lambda frame: float(frame["time"])
-    numbers = numbers_in([path.rpartition(".")[0] for path in paths])
-    places = dict(zip(paths, numbers, strict=True)) if None not in numbers else {path: place for place, path in enumerate(paths)}
-    return lambda frame: places[frame["file_path"]]
+        return sorted(group, key=lambda frame: float(frame["time"]))
+    numbers = numbers_in([frame["file_path"].rpartition(".")[0] for frame in group])
+    places = {frame["file_path"]: number or 0 for frame, number in zip(group, numbers, strict=True)}
+    return list(group) if None in numbers else sorted(group, key=lambda frame: places[frame["file_path"]])
 
 
 def _names(described: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -174,40 +185,30 @@ def _names(described: Sequence[Mapping[str, Any]]) -> list[str]:
     return names
 
 
-def _recorded(path: Path, file_paths: Sequence[str]) -> tuple[Path, ...]:
-    """Return the pictures of a camera, which are all there."""
+def _recorded(path: Path, file_paths: Sequence[str]) -> ImageFrames:
+    """Return the pictures of a camera in the order of time, which are all there."""
     files = []
     for file_path in file_paths:
-        relative = _image(path, file_path)
-        there = [at / relative for at in (path, path / "images") if is_inside(relative) and (at / relative).is_file()]
-        if not there:
+        file = find_picture(path, _image(file_path)) or find_picture(path / "images", _image(file_path))
+        if file is None:
             raise CaptureError(f"{path}: wanted the picture {file_path} of {TRANSFORMS}, got no such file; restore it")
-        files.append(there[0])
-    return tuple(files)
+        files.append(file)
+    return ImageFrames(path, numbered=tuple(enumerate(files)))
 
 
-def _image(path: Path, file_path: str) -> str:
-    """Return the picture of a frame as `require_frames` looks for it; NeRF's own files leave its suffix out."""
-    relative = file_path.removeprefix("./").removeprefix("images/")
-    if PurePosixPath(relative).suffix.lower() in IMAGE_SUFFIXES or not relative.isprintable() or len(relative) > 1000:
-        return relative
-    there = [
-        relative + suffix
-        for suffix in IMAGE_SUFFIXES
-        if any((at / (relative + suffix)).is_file() for at in (path, path / "images"))
-    ]
-    return there[0] if there else relative
+def _image(file_path: str) -> str:
+    """Return the picture of a frame as `find_frames` looks for it."""
+    return file_path.removeprefix("./").removeprefix("images/")
 
 
-def _placed(files: Sequence[Path], name: str, frame: Mapping[str, Any], source: SizedSource) -> tuple[Placed, Lens]:
+def _rig_camera(file: Path, name: str, frame: Mapping[str, Any], source: SizedSource) -> RigCamera:
     try:
-        lens = _lens(frame, source.size)
         near_far = (float(frame["near"]), float(frame["far"])) if {"near", "far"} <= frame.keys() else None
-        return Placed(name, lens.undistorted_K(), frame["transform_matrix"], (lens.width, lens.height), near_far), lens
+        return RigCamera(name, _lens(frame, source.size), frame["transform_matrix"], near_far)
     except CameraError as error:
-        raise CaptureError(f"{files[0]}: wanted frames with poses and intrinsics, {name}: {error}") from error
+        raise CaptureError(f"{file}: wanted frames with poses and intrinsics, {name}: {error}") from error
     except (ValueError, TypeError, KeyError, ArithmeticError) as error:
-        raise _refused(files[0], error) from error
+        raise _refused(file, error) from error
 
 
 def _refused(file: Path, error: Exception) -> CaptureError:
@@ -228,7 +229,8 @@ def _world_to_camera(frame: Mapping[str, Any]) -> tuple[Array, float]:
     if is_scaled or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
         defects = f"axes of length {', '.join(f'{length:.4g}' for length in scale)}, last row {camera_to_world[3].tolist()}"
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not rigid ({defects})")
-    return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64), float(scale.mean())
+    axes = next((AXES[key] for key in AXES if frame.get(key)), OPENGL_TO_OPENCV)
+    return np.asarray(np.linalg.inv(camera_to_world @ axes), dtype=np.float64), float(scale.mean())
 
 
 def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
@@ -236,8 +238,8 @@ def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
     width, height = int(frame.get("w", frame_size[0])), int(frame.get("h", frame_size[1]))
     is_fisheye = bool(frame.get("is_fisheye"))
     model = frame.get("camera_model", FISHEYE_MODEL if is_fisheye else "OPENCV")
-    if model not in (*PINHOLE_MODELS, FISHEYE_MODEL):
-        raise ValueError(f"camera_model {model!r}, known are {', '.join((*PINHOLE_MODELS, FISHEYE_MODEL))}")
+    if model not in MODELS:
+        raise CameraError(f"camera_model {model!r:.40}, known are {', '.join(MODELS)}; undistort the images first")
     if is_fisheye != (model == FISHEYE_MODEL) and "is_fisheye" in frame:
         raise ValueError(f"is_fisheye {frame['is_fisheye']!r:.20} of camera_model {model}; keep the one that is right")
     if model != FISHEYE_MODEL and frame.get("k4", 0):
@@ -257,13 +259,15 @@ def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
             focal[axis] = float(frame[f"fl_{axis}"])
         elif f"camera_angle_{axis}" in frame:
             focal[axis] = side / 2 / math.tan(float(frame[f"camera_angle_{axis}"]) / 2)
+        elif f"{axis}_fov" in frame:
+            focal[axis] = side / 2 / math.tan(math.radians(float(frame[f"{axis}_fov"])) / 2)
     matrix = next((np.array(frame[key], dtype=np.float64) for key in MATRICES if key in frame), None)
     if matrix is not None and (matrix.ndim != 2 or min(matrix.shape) < 3):
         raise ValueError(f"intrinsics of {frame['file_path']} of shape {matrix.shape}, wanted 3 x 3")
     if matrix is not None and not focal:
         return matrix[:3, :3].copy()
     if not focal:
-        raise KeyError("fl_x, camera_angle_x or K")
+        raise KeyError("fl_x, camera_angle_x, x_fov or K")
     fx, fy = focal.get("x", focal.get("y")), focal.get("y", focal.get("x"))
     K = np.array([[fx, 0, float(frame.get("cx", width / 2))], [0, fy, float(frame.get("cy", height / 2))], [0, 0, 1.0]])
     if matrix is not None and not np.allclose(matrix[:3, :3], K, rtol=1e-3, atol=0.1):

@@ -1,7 +1,7 @@
 """Panoptic Sports as Dynamic 3D Gaussians keeps it: ``ims/CAM/FRAME.jpg`` with ``train_meta.json`` and ``test_meta.json``."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -10,11 +10,12 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
-from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.rig import pinhole_camera, pinhole_cameras
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.names import is_inside
 from ggvs_eval.files.plain import read_plain_text
 
 IMAGES = "ims"
@@ -24,13 +25,10 @@ DAMAGE = (OSError, ValueError, TypeError, KeyError, IndexError, RecursionError, 
 
 
 class _View(NamedTuple):
-    """One camera of a file: its images in order, intrinsics (3, 3), world_to_camera (4, 4), and the size they are for."""
+    """One camera of a file: the names of its images in order; K (3, 3), the size that it is for, world_to_camera (4, 4)."""
 
     files: list[str]
-    K: Array
-    world_to_camera: Array
-    width: int
-    height: int
+    calibration: tuple[Array, tuple[int, int], Array]
 
 
 def refuse(path: Path) -> str | None:
@@ -56,10 +54,12 @@ def load(path: Path, units: GivenUnits) -> Capture:
     views = {name: view for file in METAS if (path / file).is_file() for name, view in _read(path / file)}
     check_rig_size(path, len(views))
     names = sorted(views, key=lambda name: (len(name), name))
-    rig = [Placed(name, views[name].K, views[name].world_to_camera, (views[name].width, views[name].height)) for name in names]
-    cameras = ranged_cameras(rig, path)
+    rig = [pinhole_camera(path, name, *views[name].calibration) for name in names]
+    cameras = pinhole_cameras(rig, path)
     folder = path / IMAGES
-    sources = [NumberedFrames(folder, tuple(enumerate(folder / file for file in views[name].files))) for name in names]
+    sources = [
+        ImageFrames(folder, numbered=tuple(enumerate(folder / name / file for file in views[name].files))) for name in names
+    ]
     return assemble_capture(path, "panoptic", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
@@ -69,7 +69,7 @@ def _read(file: Path) -> Iterator[tuple[str, _View]]:
     except DAMAGE as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error)
         wanted = "w, h, and of each instant the lists k, w2c, fn and cam_id"
-        raise CaptureError(f"{file}: wanted {wanted}, got: {reason:.200}; copy the scene again") from error
+        raise CaptureError(f"{file}: wanted {wanted}, got: {reason:.200}") from error
 
 
 def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
@@ -80,28 +80,24 @@ def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
         raise ValueError(f"k of {K.shape} and w2c of {poses.shape}")
     if any(row != numbers[0] for row in numbers) or [len(row) for row in files] != [K.shape[1]] * K.shape[0]:
         raise ValueError("instants that differ in their cameras")
+    size = int(meta["w"]), int(meta["h"])
     for index in range(K.shape[1]):
         name = _folder(str(files[0][index]))
-        for values, what in ((K[:, index], "intrinsics"), (poses[:, index], "pose")):
+        for values, what in ((K[:, index], "k"), (poses[:, index], "w2c")):
             if np.abs(values - values[0]).max() > STILL * max(np.abs(values[0]).max(), 1.0):
-                raise ValueError(f"camera {name} changes its {what}, which a fixed camera does not")
-        yield name, _View(_checked(files, index, name), K[0, index], poses[0, index], int(meta["w"]), int(meta["h"]))
+                raise ValueError(f"{what} of camera {name} that changes; if it stands still, write the first instant's for all")
+        pictures = [str(row[index]) for row in files]
+        if any(_folder(file) != name for file in pictures):
+            raise ValueError(f"images of several folders for camera {name}")
+        yield name, _View([PurePosixPath(file).name for file in pictures], (K[0, index], size, poses[0, index]))
 
 
 def _folder(file: str) -> str:
     """Return the folder of an image, which is its camera's name."""
-    parts = PurePosixPath(file).parts
-    if len(parts) != 2 or ".." in parts or parts[0] == "/" or not file.isprintable() or len(file) > 200:
+    *parents, folder, name = ("", "", *PurePosixPath(file).parts)
+    if not folder or not is_inside(f"{folder}/{name}") or any(part not in ("", IMAGES) for part in parents):
         raise ValueError(f"the image {file!r:.60}, wanted CAM/FRAME.jpg")
-    return parts[0]
-
-
-def _checked(files: Sequence[Sequence[str]], index: int, name: str) -> list[str]:
-    """Return the images of one camera in order, all in its folder."""
-    own = [str(row[index]) for row in files]
-    if any(_folder(file) != name for file in own):
-        raise ValueError(f"images of several folders for camera {name}")
-    return own
+    return folder
 
 
 LAYOUT = DatasetSpec("train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", refuse, load, METAS)

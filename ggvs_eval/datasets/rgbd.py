@@ -13,7 +13,6 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
@@ -22,6 +21,7 @@ from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import decode_image, read_encoded
+from ggvs_eval.files.names import listed
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 from ggvs_eval.lens import LARGEST_OFFSET, check_K_size
 

@@ -9,10 +9,9 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, nearest_rotation
 from ggvs_eval.datasets.assemble import check_rig_size
-from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_files, list_images
-from ggvs_eval.files.names import numbers_in
+from ggvs_eval.files.names import listed, numbers_in
 from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
@@ -179,16 +178,15 @@ def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
 
 
 def _read_values(file: Path) -> Array:
-    try:
-        return np.array([number for row in parse_numbers(_read_text(file)) for number in row], dtype=np.float64)
-    except ValueError as error:
-        raise CaptureError(f"{file}: wanted a text file of numbers, got: {error!s:.120}; export it again") from error
+    return np.array([number for row in _read_rows(file) for number in row], dtype=np.float64)
 
 
-def _read_text(file: Path) -> str:
+def _read_rows(file: Path) -> list[list[float]]:
+    """Return the numbers in each line, comments aside."""
     try:
-        return read_plain_text(file)
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_plain_text(file).split("\n")
+        return [row for row in parse_numbers("\n".join("" if line.startswith("#") else line for line in lines)) if row]
+    except (OSError, ValueError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise CaptureError(f"{file}: wanted a text file of numbers, got: {reason:.120}; export it again") from error
 
@@ -200,8 +198,7 @@ def _read_seven_scenes(path: Path) -> RgbdSequence:
     check_rig_size(path, len(images))
     _check_complete(images, depths, path, "depth map")
     _check_complete(images, poses, path, "pose")
-    K = _stated_K(path, images.values(), SEVEN_SCENES_K, "7-Scenes")
-    note = _assumed(path, K[0], "7-Scenes")
+    K, note = _stated_K(path, images.values(), SEVEN_SCENES_K, "7-Scenes")
     return RgbdSequence(images, depths, {number: _read_matrix(poses[number], (4,)) for number in images}, K, None, note=note)
 
 
@@ -209,52 +206,40 @@ def _read_tum(path: Path) -> RgbdSequence:
     from scipy.spatial.transform import Rotation
 
     colour, depth = ({_stamp(file): file for file in list_images(path / name)} for name in TUM[:2])
-    rows = [line.split() for line in _read_text(path / TUM[2]).splitlines() if line.strip() and not line.startswith("#")]
-    values = np.array([[_number(word) for word in row] for row in rows if len(row) == 8], dtype=np.float64)
-    if len(values) < len(rows) or not len(values) or not np.isfinite(values).all():
+    rows = _read_rows(path / TUM[2])
+    if not rows or {len(row) for row in rows} != {8} or not np.isfinite(rows).all():
         raise CaptureError(
             f"{path / TUM[2]}: wanted rows of a time, a place and a quaternion, 8 numbers, got others; export it again"
         )
+    values = np.array(rows)
     check_rig_size(path, len(colour))
     images, depths, poses = {}, {}, {}
     for index, stamp in enumerate(sorted(colour)):
         nearest_depth = min(depth, key=lambda each: abs(each - stamp), default=np.inf)
         row = values[np.abs(values[:, 0] - stamp).argmin()]
-        if max(abs(nearest_depth - stamp), abs(row[0] - stamp)) <= SAME_INSTANT_S and np.linalg.norm(row[4:]) > 0:
+        if max(abs(nearest_depth - stamp), abs(row[0] - stamp)) <= SAME_INSTANT_S and row[4:].any():
             images[index], depths[index], poses[index] = colour[stamp], depth[nearest_depth], np.eye(4)
             poses[index][:3, :3], poses[index][:3, 3] = Rotation.from_quat(row[4:]).as_matrix(), row[1:4]
     left = len(colour) - len(images)
     note = f"{left} of {len(colour)} frames omitted: no depth and pose within {SAME_INSTANT_S:g} s" if left else ""
-    K = _stated_K(path, images.values(), TUM_K, "TUM RGB-D")
-    note = "; ".join(filter(None, (note, _assumed(path, K[0], "TUM RGB-D"))))
+    K, assumed = _stated_K(path, images.values(), TUM_K, "TUM RGB-D")
+    note = "; ".join(filter(None, (note, assumed)))
     return RgbdSequence(images, depths, poses, K, None, metres_per_step=TUM_STEP, note=note)
 
 
 def _stamp(file: Path) -> float:
-    stamp = _number(file.stem)
-    if not np.isfinite(stamp):
-        raise CaptureError(f"{file}: wanted a time in seconds as the name of this frame, as TUM RGB-D has it; rename it")
-    return stamp
-
-
-def _number(word: str) -> float:
     try:
-        return float(word)
+        return float(file.stem)
     except ValueError:
-        return float("nan")
+        raise CaptureError(
+            f"{file}: wanted a time in seconds as the name of this frame, as TUM RGB-D has it; rename it"
+        ) from None
 
 
-def _assumed(path: Path, K: Array, data_set: str) -> str:
-    """A note on intrinsics that no file of the sequence states; empty if one does."""
-    values = ", ".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    other = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
-    return "" if (path / INTRINSICS).is_file() else f"K of {data_set} is taken (fx, fy, cx, cy {values}); {other}"
-
-
-def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) -> tuple[Array, Path]:
-    """Return the intrinsics in the file next to the frames, or those that the data set states, for pictures of its size."""
+def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) -> tuple[tuple[Array, Path], str]:
+    """Return the intrinsics in the file next to the frames, or those that the data set states for its size, with a note."""
     if (path / INTRINSICS).is_file():
-        return _read_K(path / INTRINSICS)
+        return _read_K(path / INTRINSICS), ""
     size = next((read_picture_header(image).size for image in images), KINECT_SIZE)
     if size != KINECT_SIZE:
         raise CaptureError(
@@ -263,4 +248,6 @@ def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) 
         )
     K = stated.copy()
     K[:2, 2] += 0.5
-    return K, path / INTRINSICS
+    values = ", ".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    other = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
+    return (K, path / INTRINSICS), f"K of {data_set} is taken (fx, fy, cx, cy {values}); {other}"

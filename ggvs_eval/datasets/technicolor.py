@@ -7,14 +7,14 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import listed
-from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
-from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, known_depths
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.rig import pinhole_camera, pinhole_cameras
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_images
+from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
 PARAMETERS = "cameras_parameters.txt"
@@ -26,15 +26,6 @@ FOLDERS = (".", "images")
 CALIBRATED_SIZE = 2048, 1088
 LARGEST_NUMBER = 1e9
 LARGEST_SKEW_PX = 0.1  # at which no pixel of the image is off by more than 0.03 px in depth and place
-# Scene -> its nearest and farthest depth in world units, as HyperReel (Attal et al., CVPR 2023) samples it.
-SCENE_DEPTHS = {
-    "painter": (1.75, 10.0),
-    "train": (0.65, 10.0),
-    "trains": (0.65, 10.0),
-    "theater": (0.65, 10.0),
-    "fabien": (0.35, 2.0),
-    "birthday": (1.75, 10.0),
-}
 
 
 def refuse(path: Path) -> str | None:
@@ -63,7 +54,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         gaps = listed([f"{number:02d} ({PARAMETERS if number in range(len(rows)) else 'pictures'} only)" for number in unmatched])
         raise CaptureError(f"{path}: wanted pictures of the camera of each row of {PARAMETERS}, got {gaps}; restore these")
     cameras = _cameras(path, rows)
-    sources = [NumberedFrames(folder, tuple(by_camera[number])) for number in range(len(rows))]
+    sources = [ImageFrames(folder, numbered=tuple(by_camera[number])) for number in range(len(rows))]
     return assemble_capture(path, "technicolor", cameras, sources, choose_units(path, units, cameras))
 
 
@@ -89,18 +80,15 @@ def _read_rows(file: Path) -> np.ndarray:
     if not rows:
         raise CaptureError(f"{file}: wanted a line of names and a row per camera, got none; copy the scene again")
     for index, row in enumerate(rows):
-        _check_row(file, index, row)
-    return np.array(rows)
-
-
-def _check_row(file: Path, index: int, row: list[float]) -> None:
-    if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
         shown = " ".join(f"{value:g}" for value in row)
-        raise CaptureError(f"{file}: wanted {COLUMNS} as finite numbers of camera {index}, got {shown:.60}; copy the scene again")
-    if abs(row[4]) > LARGEST_SKEW_PX:
-        raise CaptureError(f"{file}: wanted zero skew (sk) of camera {index}, got {row[4]:g}; undistort its pictures again")
-    if not 0.99 < float(np.linalg.norm(row[5:9])) < 1.01:
-        raise CaptureError(f"{file}: wanted a unit quaternion of camera {index}, got {row[5:9]}; copy the scene again")
+        if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
+            wanted = f"{COLUMNS} as finite numbers"
+        elif abs(row[4]) > LARGEST_SKEW_PX or not 0.99 < float(np.linalg.norm(row[5:9])) < 1.01:
+            wanted = "zero skew (sk) and a unit quaternion"
+        else:
+            continue
+        raise CaptureError(f"{file}: wanted {wanted} of camera {index}, got {shown:.80}; copy the scene again")
+    return np.array(rows)
 
 
 def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
@@ -109,13 +97,13 @@ def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[:, [6, 7, 8, 5]]).as_matrix()
     poses[:, :3, 3] = rows[:, 9:12]
-    depths = SCENE_DEPTHS.get(path.resolve().name.lower())
+    depths = known_depths("technicolor", path.resolve().name.lower())
     rig = []
     for index, (row, pose) in enumerate(zip(rows, poses, strict=True)):
         focal_px, cu, cv, aspect = row[:4]
         K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
-        rig.append(Placed(f"cam{index:02d}", K, pose, CALIBRATED_SIZE, depths))
-    return ranged_cameras(rig, path / PARAMETERS)
+        rig.append(pinhole_camera(path / PARAMETERS, f"cam{index:02d}", K, CALIBRATED_SIZE, pose, depths))
+    return pinhole_cameras(rig, path / PARAMETERS)
 
 
 LAYOUT = DatasetSpec("cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", refuse, load, (PARAMETERS,))

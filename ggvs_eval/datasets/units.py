@@ -12,8 +12,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text
-from ggvs_eval.files.toml_tables import load_toml
+from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.toml_tables import read_toml
 
 DEMO_NOTES = "demo.json"
 UNITS_FILE = "units.toml"
@@ -107,11 +107,7 @@ def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
 
 def _measured_units(file: Path, cameras: Sequence[Camera]) -> Units:
     """Read the units from a TOML file that gives them in one of three ways."""
-    try:
-        values = load_toml(read_plain_text(file, LARGEST_TOML))
-    except (OSError, ValueError, RecursionError) as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        raise CaptureError(f"{file}: wanted TOML with {WAYS}, got: {reason}; correct it") from error
+    values = read_toml(file, CaptureError)
     if len(values) != 1 or not set(values) <= {"units_per_metre", "baseline", "points"}:
         raise CaptureError(f"{file}: wanted exactly one of {WAYS}, got {', '.join(values) or 'nothing'}; keep one")
     by_name = {camera.name: camera for camera in cameras}

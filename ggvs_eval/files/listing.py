@@ -40,15 +40,16 @@ def list_images(folder: Path) -> list[Path]:
     return list_files(folder, IMAGE_SUFFIXES)
 
 
-def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> list[Path]:
-    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside.
+def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES, deepest: int = 1000) -> list[Path]:
+    """The files with one of some suffixes in a folder and the folders in it, to a depth, by path, junk aside.
 
     Links to folders are followed, each folder once, so that circles end.
     """
     found, seen = [], {folder.resolve()}
     for place, folders, names in os.walk(folder, followlinks=True):
         inner = {name: Path(place, name).resolve() for name in sorted(folders) if not is_junk(name)}
-        folders[:] = [name for name, real in inner.items() if real not in seen]
+        is_deep = len(Path(place).relative_to(folder).parts) >= deepest
+        folders[:] = [name for name, real in inner.items() if real not in seen and not is_deep]
         seen.update(inner.values())
         found += [Path(place, name) for name in names if not is_junk(name) and Path(name).suffix.lower() in suffixes]
     return sorted(found)

@@ -1,7 +1,7 @@
 """Names of frames and cameras: the numbers that they bear, and the camera that a picture is of."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import PurePosixPath
@@ -10,6 +10,9 @@ from typing import Any
 Number = int | Decimal
 # The last number of a name: the text before it, its digits, and those behind a point, if that is the only one.
 LAST = re.compile(r"(.*?)(?:(?<![\d.])(\d+)\.)?(\d+)\D*", re.DOTALL)
+# File systems take no longer ones.
+LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
+LISTED = 24
 STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
 
 
@@ -117,3 +120,18 @@ def _order(numbers: Sequence[Number | None]) -> list[int]:
 def _are_even(numbers: Sequence[Number | None]) -> bool:
     ordered = sorted(number for number in numbers if number is not None)
     return len({later - earlier for earlier, later in pairwise(ordered)}) == 1
+
+
+def is_inside(relative: str) -> bool:
+    """Return whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
+    if not relative.isprintable() or len(relative) >= LONGEST_PATH:
+        return False
+    path = PurePosixPath(relative)
+    fits = all(len(part.encode()) < LONGEST_NAME_BYTES for part in path.parts)
+    return fits and bool(path.name) and not path.is_absolute() and ".." not in path.parts
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return the names in a message, not thousands of them."""
+    names = list(names)
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")

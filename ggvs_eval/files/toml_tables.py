@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ggvs_eval.errors import GgvsError, did_you_mean
-from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text
+from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text, why_unread
 
 Table = TypeVar("Table")
 LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){64}""")
@@ -48,8 +48,9 @@ def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
     """
     try:
         text = read_plain_text(path, LARGEST_TOML)
-    except (OSError, UnicodeDecodeError) as reason:
-        raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from reason
+    except (OSError, UnicodeDecodeError) as error_of_file:
+        reason = why_unread(error_of_file) if isinstance(error_of_file, OSError) else error_of_file
+        raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from error_of_file
     return parse_toml(text, str(path), error)
 
 

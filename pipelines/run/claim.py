@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.camera_frames import coding_of
+from ggvs_eval.datasets.frames import coding_of
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.protocol import Protocol, name_differences

@@ -8,7 +8,7 @@ import pytest
 
 from ggvs_eval.capture import CaptureEdit, Extras
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.capture_edit import HeldDepths, perturb_capture
+from ggvs_eval.datasets.capture_edit import PickedFrames, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.flags import CaptureOptions
@@ -118,7 +118,7 @@ def test_measured_depth_is_held_too(folder_capture):
     with_depth = dataclasses.replace(folder_capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES))
     depth = perturb_capture(with_depth, HELD).extras_of("cam01").depth
 
-    assert isinstance(depth, HeldDepths)
+    assert isinstance(depth, PickedFrames)
     assert [float(each[0, 0]) for each in depth.depths(1, 4)] == [3.0, 3.0, 3.0]
 
 

@@ -110,7 +110,7 @@ def test_a_calibration_of_stored_pixels_gets_stored_pixels(rig, orientation, tmp
         assert camera.size == (WIDTH, HEIGHT)
         assert camera.centre == pytest.approx(given.centre, abs=1e-7)
         assert np.abs(capture.frame(camera.name, 0).astype(int) - pattern(index)).mean() < 1.5
-    assert any(f"EXIF orientation, cam00 ({orientation})" in note and "stored" in note for note in capture.notes)
+    assert any(f"EXIF orientation {orientation} " in note and "stored" in note for note in capture.notes)
 
 
 @pytest.mark.parametrize("rig", RIGS)
@@ -131,7 +131,7 @@ def test_a_turn_that_no_size_shows_is_noted(rig, orientation, tmp_path):
     capture = open_capture(write_rig(tmp_path / "room", rig, orientation))
 
     note = next(note for note in capture.notes if "EXIF" in note)
-    assert f"cam00 ({orientation})" in note
+    assert f"all cameras with the EXIF orientation {orientation} " in note
     assert "check" in note
 
 

@@ -15,7 +15,6 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.check import check_capture
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
@@ -268,13 +267,6 @@ def test_folders_of_a_camera_hold_its_frames(tmp_path):
         write_image(folder / "images" / name / "000001.png", make_image(index, 1))
 
     assert_rig(folder, n_frames=2)
-
-
-def test_one_rule_for_names_of_cameras():
-    """Also where the suffix or the number of frames differs between cameras."""
-    assert camera_names(["cam00/0003.png", "cam01/0005.jpg"]) == ["cam00", "cam01"]
-    assert camera_names(["train/a.png", "train/b.png", "test/c.png"]) == ["a", "b", "c"]
-    assert camera_names(["00.png", "01.png"]) == ["00", "01"]
 
 
 @pytest.mark.parametrize("names", [("A-DJI plan (0)", "A-DJI plan (1)", "B  two blanks"), ("x", "x y", "x y z")])

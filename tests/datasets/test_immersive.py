@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.google_light_fields import SCENE_DEPTHS_M
 from ggvs_eval.files.images import write_image
 from helpers.captures import WIDTH, make_image, make_rig, mean_colours, refusal
 from helpers.community_layouts import (
@@ -68,9 +67,9 @@ def test_opens_videos_and_extracted_pictures(flames, scene):
 
 def test_depth_range_is_the_scenes(flames, tmp_path):
     """Scenes that HyperReel knows by their number have its range; of others the rig says it."""
-    assert {(camera.near, camera.far) for camera in open_capture(flames).cameras} == {SCENE_DEPTHS_M["02"]}
+    assert {(camera.near, camera.far) for camera in open_capture(flames).cameras} == {(1.0, 10.0)}
     other = open_capture(copied(flames, tmp_path / "kitchen")).cameras[0]
-    assert (other.near, other.far) not in SCENE_DEPTHS_M.values()
+    assert (other.near, other.far) != (1.0, 10.0)
     (tmp_path / "kitchen" / "depth_range.toml").write_text("near = 1.5\nfar = 4\n")
     assert {(camera.near, camera.far) for camera in open_capture(tmp_path / "kitchen").cameras} == {(1.5, 4.0)}
 
@@ -80,10 +79,10 @@ def test_cameras_without_frames_are_left_out(scene):
     write_models(scene, [*models_of(), immersive_model(make_rig(PAIR)[1], "camera_0007")])
     capture = open_capture(scene)
     assert capture.camera_names == NAMES
-    assert "camera_0007 left out: in models.json, but without frames" in capture.notes
+    assert "camera_0007 left out: calibrated, but without frames" in capture.notes
 
     write_models(scene, [immersive_model(make_rig(PAIR)[1], "camera_0007")])
-    assert "wanted videos camera_0007.mp4, ..., or folders of their frames, got none; restore them" in refusal(scene)
+    assert "wanted frames of camera_0007, got none, but there is CAM.mp4 (camera_0001, camera_0002)" in refusal(scene)
 
 
 @pytest.mark.parametrize(

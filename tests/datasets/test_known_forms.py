@@ -79,7 +79,7 @@ def test_stills_of_llff(tmp_path, suffix):
     assert_rig(capture, tuple(f"IMG_{4000 + index}" for index in range(4)))
     assert np.abs(capture.frame("IMG_4003", 0).astype(int) - make_image(3, 0)).max() < 12
     (tmp_path / "images" / f"IMG_4003{suffix}").unlink()
-    assert "wanted one row for each of the 3 cameras on disk (IMG_4000..IMG_4002), got 4 rows" in refusal(tmp_path)
+    assert "wanted one row for each of the 3 cameras on disk (IMG_4000, IMG_4001, IMG_4002), got 4 rows" in refusal(tmp_path)
 
 
 def write_splits(folder: Path) -> Path:
@@ -227,8 +227,8 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
         ("transforms_val.json.bak", "", None),
         ("transforms_test2.json", "{}", "transforms_test2.json exists"),
         ("intri.yml", "%YAML:1.0\n", "intri.yml exists, but the capture is incomplete, enerf-outdoor: no extri.yml"),
-        ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml exists: a calibration in a form that is not read"),
-        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json exists: a calibration in a form that is not read"),
+        ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml exists: cameras (an entry intrinsics) in a form"),
+        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json exists: cameras (an entry k) in a form"),
         ("notes.json", '{"actor": "anna"}', None),
         ("intrinsics.toml", "[[camera]]\nK = [[1.0]]\n", None),
     ],
@@ -250,9 +250,10 @@ def test_a_calibration_that_cannot_be_read_is_named(tmp_path, name, content, tol
 
 
 def test_captures_two_levels_below_are_named(tmp_path):
-    """COLMAP's automatic reconstruction keeps the capture in dense/0."""
+    """COLMAP's automatic reconstruction keeps the capture in dense/0, which opens."""
     write_colmap(tmp_path / "dense" / "0")
-    assert "name one of the captures in it: dense/0" in refusal(tmp_path)
+    assert "name one of the captures in it: dense/0 (" in refusal(tmp_path)
+    assert_rig(open_capture(tmp_path / "dense" / "0"))
 
 
 @pytest.mark.parametrize(("transfer", "told"), [(ColorTrc.ARIB_STD_B67, "HLG"), (ColorTrc.SMPTE2084, "PQ"), (ColorTrc.BT709, "")])

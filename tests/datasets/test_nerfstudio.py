@@ -91,13 +91,6 @@ def test_a_rig_over_time_lacks_nothing(tmp_path):
     assert "wanted as many instants of each camera" in refusal(folder)
 
 
-def test_order_is_that_of_names(tmp_path):
-    """The order in the file does not matter."""
-    read = open_capture(rewritten(tmp_path / "scene", frames=transforms()["frames"][::-1]))
-    assert read.camera_names == NAMES
-    np.testing.assert_allclose(read.cameras[3].centre, make_rig()[3].centre, atol=1e-12)
-
-
 def test_intrinsics_of_a_frame_win(tmp_path):
     """What a frame says itself goes before the top of the file."""
     frames = transforms()["frames"]
@@ -175,7 +168,7 @@ SCALED = (np.array(transforms()["frames"][1]["transform_matrix"]) @ np.diag([1.5
         ({"w": 0}, "wanted frames with poses and intrinsics"),
         ({"h": 10**400}, "wanted frames with poses and intrinsics"),
         ({"fl_x": -1.0}, "K must be fx 0 cx"),
-        ({"fl_x": None, "fl_y": None}, "got: no 'fl_x, camera_angle_x or K'"),
+        ({"fl_x": None, "fl_y": None}, "got: no 'fl_x, camera_angle_x, x_fov or K'"),
         ({"fl_x": None, "fl_y": None, "camera_angle_x": 0.0}, "float division by zero"),
         ({"cx": float("nan")}, "K must be fx 0 cx"),
         ({"w": 80}, "frames of 64 x 48 have another shape than the 80 x 48"),
@@ -240,3 +233,41 @@ def test_intrinsics_of_other_pictures_are_named(tmp_path, changes, reason):
     message = refusal(rewritten(tmp_path / "scene", **changes))
     assert reason in message
     assert "coefficients" not in message
+
+
+@pytest.mark.parametrize(
+    ("key", "turn"), [("from_na", [1.0, -1, -1, 1]), ("from_mitsuba", [-1.0, 1, -1, 1])], ids=["NeuS2", "Mitsuba"]
+)
+def test_poses_in_the_axes_of_another_program(tmp_path, key, turn):
+    """instant-ngp's words for cameras that are turned against OpenGL's are applied, not passed over."""
+    values = transforms() | {key: True}
+    for frame in values["frames"]:
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ np.diag(turn)).tolist()
+    for camera, truth in zip(open_capture(write_nerfstudio(tmp_path, values)).cameras, make_rig(), strict=True):
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-12)
+
+
+@pytest.mark.parametrize("entry", [{"latlong": True}, {"ftheta_p1": 0.01}, {"from_blender": 1}, {"projection": "orthographic"}])
+def test_entries_that_say_where_a_pixel_looks_are_not_passed_over(tmp_path, entry):
+    """In the file or in a single frame: refused by name, unless they say no."""
+    frames = transforms()["frames"]
+    frames[1] |= entry
+    message = refusal(rewritten(tmp_path / "frame", frames=frames))
+    assert next(iter(entry)) in message
+    assert "undistort the frames" in message
+    assert open_capture(rewritten(tmp_path / "no", **dict.fromkeys(entry, False))).camera_names == NAMES
+
+
+def test_pictures_of_two_splits_that_are_called_alike(tmp_path):
+    """NeRF's synthetic scenes: the split is part of the name; views that were never rendered are left out, with a note."""
+    values = transforms()
+    for split, frames in (("train", values["frames"][:3]), ("test", values["frames"][:1:-1])):
+        for number, frame in enumerate(frames):
+            frames[number] = {**frame, "file_path": f"./{split}/r_{number}"}
+            if (split, number) != ("test", 1):
+                write_image(tmp_path / split / f"r_{number}.png", make_image(number, 0))
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps({**values, "frames": frames}))
+    read = open_capture(tmp_path)
+    assert (read.camera_names, read.test_views) == (("test_r_0", "train_r_0", "train_r_1", "train_r_2"), ("test_r_0",))
+    np.testing.assert_allclose(read.cameras[0].centre, make_rig()[3].centre, atol=1e-12)
+    assert "test_r_1 left out: calibrated, but without frames" in read.notes

@@ -48,8 +48,8 @@ def test_frames_come_in_the_order_of_the_file(scene):
     ("change", "message"),
     [
         (lambda values: values.pop("w2c"), "got: no 'w2c'"),
-        (lambda values: values["w2c"][1][0][0].__setitem__(3, 0.5), "camera 0 changes its pose"),
-        (lambda values: values["k"][1][1][0].__setitem__(0, 70.0), "camera 10 changes its intrinsics"),
+        (lambda values: values["w2c"][1][0][0].__setitem__(3, 0.5), "w2c of camera 0 that changes"),
+        (lambda values: values["k"][1][1][0].__setitem__(0, 70.0), "k of camera 10 that changes"),
         (lambda values: values["fn"][1].pop(), "instants that differ in their cameras"),
         (lambda values: values["fn"][0].__setitem__(0, "../x/0.png"), r"wanted CAM/FRAME.jpg"),
         (lambda values: values["fn"][1].__setitem__(0, "10/000001.png"), "images of several folders for camera 0"),

@@ -68,9 +68,9 @@ def test_depth_range_is_the_scenes(scene, tmp_path):
         (lambda words: words[:-1], "wanted f cu cv ar sk qw qx qy qz tx ty tz as finite numbers of camera 1, got 1843"),
         (lambda words: ["nan", *words[1:]], "as finite numbers of camera 1, got nan"),
         (lambda words: ["f", *words[1:]], "of each camera, got: line 3: no number in 'f'"),
-        (lambda words: [*words[:4], "3.5", *words[5:]], "wanted zero skew (sk) of camera 1, got 3.5"),
-        (lambda words: [*words[:5], "2", *words[6:]], "wanted a unit quaternion of camera 1, got [2.0"),
-        (lambda words: ["-1", *words[1:]], "camera cam01: size and focal lengths must be positive"),
+        (lambda words: [*words[:4], "3.5", *words[5:]], "and a unit quaternion of camera 1, got 1843.2 1024 544 1 3.5"),
+        (lambda words: [*words[:5], "2", *words[6:]], "and a unit quaternion of camera 1, got 1843.2 1024 544 1 0 2"),
+        (lambda words: ["-1", *words[1:]], "cam01: lens: K must be"),
     ],
 )
 def test_parameters_that_make_no_sense(scene, change, message):

@@ -1,12 +1,14 @@
 """Videos that have no poses yet: what frames alone tell, and which command comes next."""
 
+import pickle
 import shutil
 
+import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
-from ggvs_eval.datasets.unread_files import file_marks
+from ggvs_eval.datasets.find_cameras import file_marks
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.check import QUESTIONS, check_capture
@@ -69,7 +71,8 @@ MARKED = {
     "keyframes/cameras/1664481236000.json": '{"fx": 60, "t_00": 1}',
     "SN12345678.conf": "[LEFT_CAM_HD]\nfx=60",
     "mv_images/00000/cam01.jpg": "a picture",
-    "rig.json": '{"intrinsics": [1]}',
+    "rig.json": '[{"cameras": [{"cam_from_rig_rotation": [1, 0, 0, 0]}]}]',
+    "cameras/camera_extrinsics.json": '{"cam00": "[1 0 0 0] [0 1 0 0] [0 0 1 0] [0 0 0 1]"}',
     "reconstruction.meshed.json": '[{"shots": {}}]',
     "sfm_data.json": '{"sfm_data_version": "0.3"}',
     "cameras.sfm": '{"views": []}',
@@ -118,18 +121,50 @@ def test_calibrations_that_are_not_read_are_named_first(name, videos, tmp_path):
 
 def test_every_mark_is_tried_here():
     """A row of the table without a case above would be data that nothing holds."""
-    assert len(file_marks()) <= len(MARKED) + 1  # Vicon's has two rows
+    assert len(file_marks()) == len(MARKED) + 1  # Vicon's has two rows
 
 
-def test_a_name_that_says_cameras_is_noted(tmp_path):
-    """An unknown form with a telling name is no fault, and is not passed over in silence; our own report is."""
+def test_other_files_are_noted(tmp_path):
+    """What holds no cameras that can be seen is no fault, and is not passed over in silence; our own report is."""
     write_videos(tmp_path / "table")
-    (tmp_path / "table" / "rig_calib_final.bin").write_bytes(b"?")
+    (tmp_path / "table" / "rig_calib_final.bin").write_bytes(b"?\0")
     (tmp_path / "table" / "calibration.json").write_text('{"registered": 4, "mean_reprojection_error_px": 0.3}')
     check = check_capture(tmp_path / "table")
     assert check.is_usable
-    assert "rig_calib_final.bin is there and is not read" in check.of("frames")[0].measured
-    assert "calibration.json" not in check.of("frames")[0].measured
+    assert check.of("frames")[0].measured.endswith("not used: rig_calib_final.bin")
+
+
+NUMBERS = {
+    "KRT": "cam00\n86.88 0 79.5\n0 86.88 59.5\n0 0 1\n",
+    "views/view.csv": "name,a,b\ncam00,0.8,0.6,0,-0.6,0.8,0,0,0,1\n",
+    "params.npy": np.array([[0.96, 0.28, 0, 5], [-0.28, 0.96, 0, 6], [0, 0, 1, 7]]),
+    "rig.pkl": {"cam00": [[86.88, 0, 79.5], [0, 86.88, 59.5], [0, 0, 1]]},
+    "trajectory.txt": "1 2 3 0.5 0.5 -0.5 0.5\n3 2 1 0.1 0.7 0.7 0.1\n",
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_cameras_are_told_by_their_numbers(name, videos, tmp_path):
+    """Whatever a file is called: one that holds an intrinsic matrix or rotations ends with 1 and is named first."""
+    shutil.copytree(videos, tmp_path / "table")
+    file, content = tmp_path / "table" / name, NUMBERS[name]
+    file.parent.mkdir(exist_ok=True)
+    if isinstance(content, str):
+        file.write_text(content)
+    else:
+        with file.open("wb") as stream:
+            np.save(stream, content) if name.endswith("npy") else pickle.dump(content, stream)
+    check = check_capture(tmp_path / "table")
+    assert not check.is_usable
+    assert f"table: {name} exists: cameras (" in check.of("opens")[0].measured
+
+
+def test_names_and_keypoints_are_no_cameras(videos, tmp_path):
+    """A telling name without such numbers, and many numbers without such a form, are no calibration."""
+    shutil.copytree(videos, tmp_path / "table")
+    (tmp_path / "table" / "camera_notes.txt").write_text("the third one was moved at 10:45")
+    (tmp_path / "table" / "keypoints.csv").write_text("\n".join(f"{i},{i * 1.37 % 1},{i * 0.71 % 1}" for i in range(500)))
+    assert check_capture(tmp_path / "table").is_usable
 
 
 def test_chapters_of_one_recording_are_no_cameras(tmp_path):

@@ -3,6 +3,7 @@
 World units per metre, where they come from and the sizes that they imply; and frames without a calibration yet.
 """
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
@@ -16,13 +17,13 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import calibration_mark, detect_layout, open_capture
+from ggvs_eval.datasets import detect_layout, open_capture
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames, refuse_chapters
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames, rig_frames
+from ggvs_eval.datasets.refusal import calibration_mark
 from ggvs_eval.datasets.units import GivenUnits, Units
-from ggvs_eval.datasets.unread_files import unread_note
+from ggvs_eval.datasets.unread_files import unused_note
 from ggvs_eval.errors import CaptureError, GgvsError
-from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files
 from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
@@ -279,13 +280,12 @@ def open_uncalibrated(path: Path) -> Capture | None:
             raise
     else:
         return None
-    refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)] if path.is_dir() else [])
-    try:
-        files = find_rig_frames(path)
-    except CaptureError:
+    files = rig_frames(path)
+    if not files:
         return None
     capture = uncalibrated_capture(path, files)
-    return replace(capture, notes=(*capture.notes, *unread_note(path)))
+    used = {os.path.abspath(file.path) for file in files.values()}
+    return replace(capture, notes=(*capture.notes, *unused_note(path, used, capture.notes)))
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:

@@ -21,8 +21,9 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import common_count
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
-from ggvs_eval.datasets.colmap_model import model_cameras, read_model
+from ggvs_eval.datasets.colmap_model import read_model, rig_of_views
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated
+from ggvs_eval.datasets.rig import pinhole_cameras
 from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_folder
@@ -285,7 +286,7 @@ def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log:
 
 def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mapping[str, Any]) -> Calibration:
     views = {Path(view.image_name).stem: view for view in read_model(unfinished / "sparse" / "0")}
-    cameras = {camera.name: camera for camera in model_cameras(views, out)}
+    cameras = {camera.name: camera for camera in pinhole_cameras(rig_of_views(views), out)}
     counts = {Path(image).stem: count for image, count in result["registered"].items()}
     odd = {Path(image).stem: OddLens(**each) for image, each in result["odd_lenses"].items()}
     return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts, odd)

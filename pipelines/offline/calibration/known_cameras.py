@@ -1,20 +1,18 @@
 """Prior knowledge of cameras: lenses, and perhaps poses, from any file or capture that says so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files, read_calibration_file
-from ggvs_eval.datasets.capture_toml import LensTable
+from ggvs_eval.datasets.capture_toml import LensTable, as_matrix
 from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.datasets.frames import has_shape
+from ggvs_eval.datasets.media import match_cameras
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import same_name
@@ -75,9 +73,9 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         Lenses are those of the frames as they are on disk: of a capture that is undistorted as it is read, the distorting ones.
         Cameras are called as their frames are, however the umlauts of the file's names are written.
     """
-    spelled = {same_name(name): name for name in sizes or {}}
-    cameras = _read_cameras(path, {same: (sizes or {})[name] for same, name in spelled.items()})
-    return {spelled.get(same_name(name), name): camera for name, camera in cameras.items()}
+    cameras = _read_cameras(path, {same_name(name): size for name, size in (sizes or {}).items()})
+    matched = match_cameras(cameras, sizes or ()).names
+    return {matched.get(name, name): camera for name, camera in cameras.items()}
 
 
 def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
@@ -166,19 +164,11 @@ def _read_intrinsics(path: Path) -> dict[str, KnownCamera]:
 
 def _lens(path: Path, table: IntrinsicsTable) -> Lens:
     distortion = table.distortion or LensTable("opencv", (0.0,) * 4)
+    K = as_matrix(table.K, 3, f"{path}: {table.name}: K")
     try:
-        K = np.array(_rows(table.K), dtype=np.float64)
-        Camera(table.name, K, np.eye(4), table.width, table.height, 1.0, 2.0)  # refuses what is no camera
         return Lens(K, distortion.model, distortion.coefficients, table.width, table.height)
     except CameraError as error:
         raise CaptureError(f"{path}: {table.name}: {error}") from error
-
-
-def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
-    """Return the rows of K, which must be even for an array to be made of them."""
-    if [len(row) for row in rows] != [3, 3, 3]:
-        raise CameraError(f"K must be 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}; write all nine")
-    return rows
 
 
 def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:

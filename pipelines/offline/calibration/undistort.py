@@ -17,10 +17,10 @@ from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.assemble import common_count, common_rate
 from ggvs_eval.datasets.calibration_file import find_calibration_files
+from ggvs_eval.datasets.calibration_readers import FileCamera
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
-from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
-from ggvs_eval.datasets.frames import has_shape
+from ggvs_eval.datasets.entries import plain_numbers
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files import pickle_reader
@@ -69,34 +69,16 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         package's centres.
     """
     is_known = bool(find_calibration_files(path))
-    if path.suffix.lower() in (".yml", ".yaml") and not is_known:
-        return _from_easymocap(path, sizes)
     if path.suffix.lower() in (".pkl", ".pickle"):
         return _from_d3dmv(path, sizes)
     if path.suffix.lower() != ".toml" and not is_known:
         raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
     lenses = {name: camera.lens for name, camera in fit_known(path, read_known(path, sizes), sizes).items()}
     try:
-        return {name: LensAndTarget(lens, lens.undistorted_K()) for name, lens in lenses.items()}
+        is_kept = bool(find_calibration_files(path, "easymocap"))
+        return {name: LensAndTarget(lens, lens.K if is_kept else lens.undistorted_K()) for name, lens in lenses.items()}
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
-
-
-def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
-    file = FileStorageYaml(path)
-    missing = [name for name in sizes if not file.has(f"K_{name}")]
-    if missing:
-        content = f"it has {', '.join(file.texts('names')) or 'no names'}"
-        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {content}; use the same camera names in both places")
-    found_lenses = {}
-    for name, size in sizes.items():
-        K = file.matrix(f"K_{name}", (3, 3))
-        K[:2, 2] += PIXEL_CENTRE
-        key = next((key for key in (f"dist_{name}", f"D_{name}") if file.has(key)), None)
-        coefficients = tuple(map(float, file.matrix(key, None).ravel())) if key else (0.0,) * 5
-        width, height = (round(file.number(f"{letter}_{name}") or side) for letter, side in zip("WH", size, strict=True))
-        found_lenses[name] = _at_size(path, name, _lens(path, name, K, "opencv", coefficients, (width, height)), size)
-    return found_lenses
 
 
 def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
@@ -108,7 +90,11 @@ def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
     for entry, (name, (width, height)) in zip(entries, sizes.items(), strict=True):
         K, coefficients = _numbers(path, name, entry, "K", 9).reshape(3, 3), _numbers(path, name, entry, "D", 4)
         K[:2, 2] += PIXEL_CENTRE
-        lens = _lens(path, name, K, "fisheye", tuple(map(float, coefficients)), (width, height))
+        camera = FileCamera(name, K, "fisheye", tuple(map(float, coefficients)), None, None)
+        try:
+            lens = camera.lens((width, height))
+        except CameraError as error:
+            raise CaptureError(f"{path}: {name}: {error}") from error
         target = np.array([[width / 2, 0.0, width / 2], [0.0, width / 2, height / 2], [0.0, 0.0, 1.0]])
         found_lenses[name] = LensAndTarget(lens, target)
     return found_lenses
@@ -129,38 +115,10 @@ def read_pickle(path: Path) -> Any:
 
 
 def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
-    values = entry.get(key) if isinstance(entry, dict) else None
-    try:
-        numbers = np.array(values, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.size != count or not np.isfinite(numbers).all():
-        content = "none" if values is None else f"shape {numbers.shape}"
-        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {content}; restore the file")
-    return numbers.ravel()
-
-
-def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float, ...], size: Size) -> Lens:
-    """Return the lens, if its K can be that of frames of this size."""
-    width, height = size
-    is_central = 0.3 < K[0, 2] / width < 0.7 and 0.3 < K[1, 2] / height < 0.7
-    if not is_central or K[0, 0] <= 0 or K[1, 1] <= 0:
-        content = f"f {K[0, 0]:.0f}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
-        raise CaptureError(
-            f"{path}: {name}: wanted the lens of {width} x {height} frames, got {content}; give the file of this size"
-        )
-    try:
-        return Lens(K, model, coefficients, width, height)
-    except CameraError as error:
-        raise CaptureError(f"{path}: {name}: {error}") from error
-
-
-def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
-    if not has_shape(size, (lens.width, lens.height)):
-        content = f"frames of {size[0]} x {size[1]}"
-        raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; give uncropped frames")
-    resized = lens.resized(*size)
-    return LensAndTarget(resized, resized.K)
+    values = plain_numbers(entry.get(key) if isinstance(entry, dict) else None)
+    if values.size != count or not np.isfinite(values).all():
+        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got shape {values.shape}; restore the file")
+    return values.ravel()
 
 
 @dataclass(frozen=True)
