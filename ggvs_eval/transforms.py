@@ -6,6 +6,7 @@ finding are the strength of the change that its question names.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 from typing import Any
 
@@ -18,9 +19,9 @@ from ggvs_eval.files.images import round_levels
 
 VIDEO_BLACK, VIDEO_SLOPE = 16.0, 219 / 255
 LANCZOS_REACH_PX = 4
-# A shift that is measured this near to whole pixels is one by whole pixels, which loses nothing.
-NEAR_WHOLE_PX = 0.1
-LEVELS = np.arange(256)
+# A shift that is known less well may be one by whole pixels or not.
+LARGEST_ERROR_PX = 0.1
+LEVELS = np.arange(256)[:, None]
 Values = Mapping[str, Any]
 Size = tuple[int, int]  # width and height
 Change = Callable[[Image8], Image8]
@@ -36,17 +37,16 @@ class Transform:
         words: what `inverse` does.
         apply: frame (H, W, 3) uint8 -> the changed one.
         inverse: takes that back, as far as it can be.
+        soft: `apply` by linear interpolation, if it interpolates at all.
         is_exact: whether no value is interpolated or rounded.
-        truth_words: what `apply` does, where `inverse` interpolates and the truth can be changed
-            instead; else empty.
         border_px: width along each side within which pixels are made of pixels outside the picture.
     """
 
     words: str
     apply: Change
     inverse: Change
+    soft: Change | None = None
     is_exact: bool = True
-    truth_words: str = ""
     border_px: int = 0
 
 
@@ -98,52 +98,58 @@ def powered(values: Values, _size: Size) -> Transform:
 
 
 def multiplied(values: Values, _size: Size) -> Transform:
-    """Multiply levels by a gain."""
-    gain = values["gain"]
-    return _by_tables(f"levels divided by {gain:.3f}", LEVELS * gain, LEVELS / gain)
+    """Multiply levels by a gain, or by one for each channel."""
+    gain = np.broadcast_to(values["gain"], 3)
+    words = ", ".join(f"{channel:.3f}" for channel in gain[: 3 if np.ptp(gain) else 1])
+    return _by_tables(f"levels divided by {words}", LEVELS * gain, LEVELS / gain)
 
 
 def _by_tables(words: str, *levels: NDArray[np.floating]) -> Transform:
-    """Replace each level by that of a table, and back by that of another, (256,)."""
-    there, back = map(round_levels, levels)
-    return Transform(words, there.take, back.take, is_exact=False)
+    """Replace each level by that of a table, and back by that of another, (256, 1 or 3)."""
+    there, back = (np.broadcast_to(round_levels(table), (256, 3)) for table in levels)
+    channels = np.arange(3)
+    return Transform(
+        words,
+        apply=lambda image: there[image, channels],
+        inverse=lambda image: back[image, channels],
+        is_exact=False,
+    )
 
 
 def scaled(values: Values, size: Size) -> Transform:
     """Enlarge the picture about its centre."""
     scale = np.array([values["scale_x"], values["scale_y"]])
     outside_px = np.abs(np.maximum(scale, 1 / scale) - 1) * size / 2
-    words, truth_words = (f"scaled to ({x:.2%}, {y:.2%})" for x, y in (1 / scale, scale))
-    return _resampling(words, truth_words, scale, centring(scale, size), outside_px)
+    x, y = 1 / scale
+    return _resampling(f"scaled to ({x:.2%}, {y:.2%})", scale, centring(scale, size), outside_px)
 
 
 def shifted(values: Values, _size: Size) -> Transform:
-    """Move the picture to the right and downwards."""
+    """Move the picture to the right and downwards; by whole pixels, which loses nothing, where a small error allows it."""
     shift_px = np.array([values["shift_x_px"], values["shift_y_px"]])
-    whole_px = np.rint(shift_px)
-    if np.abs(shift_px - whole_px).max() <= NEAR_WHOLE_PX:
-        words = f"moved by ({-whole_px[0]:+.0f}, {-whole_px[1]:+.0f}) px"
-        transform = _resampling(words, "", np.ones(2), whole_px, whole_px)
-        return replace(transform, is_exact=True, border_px=int(np.abs(whole_px).max()))
-    words, truth_words = (f"moved by ({x:+.2f}, {y:+.2f}) px" for x, y in (-shift_px, shift_px))
-    return _resampling(words, truth_words, np.ones(2), shift_px, shift_px)
+    error_px = values.get("shift_x_px_error", 0)
+    is_whole = np.abs(shift_px - np.rint(shift_px)).max() <= error_px <= LARGEST_ERROR_PX
+    shift_px = np.rint(shift_px) if is_whole else shift_px
+    x, y = -np.round(shift_px, 2)
+    transform = _resampling(f"moved by ({x:+g}, {y:+g}) px", np.ones(2), shift_px, shift_px)
+    return replace(transform, is_exact=True, border_px=int(np.abs(shift_px).max())) if is_whole else transform
 
 
-def _resampling(words: str, truth_words: str, scale: Pair, offset_px: Pair, outside_px: Pair) -> Transform:
+def _resampling(words: str, scale: Pair, offset_px: Pair, outside_px: Pair) -> Transform:
     """Put pixel x of a frame to scale * x + offset_px."""
+    there = partial(_interpolated, scale=1 / scale, offset_px=-offset_px / scale)
     return Transform(
         words,
-        apply=lambda image: _interpolated(image, 1 / scale, -offset_px / scale),
-        inverse=lambda image: _interpolated(image, scale, offset_px),
+        apply=there,
+        inverse=partial(_interpolated, scale=scale, offset_px=offset_px),
+        soft=partial(there, interpolation=cv2.INTER_LINEAR),
         is_exact=False,
-        truth_words=truth_words,
         border_px=ceil(np.abs(outside_px).max()) + LANCZOS_REACH_PX,
     )
 
 
-def _interpolated(image: Image8, scale: Pair, offset_px: Pair) -> Image8:
-    levels = image.astype(np.float32)
-    return round_levels(resampled(levels, scale, offset_px, cv2.INTER_LANCZOS4))
+def _interpolated(image: Image8, scale: Pair, offset_px: Pair, interpolation: int = cv2.INTER_LANCZOS4) -> Image8:
+    return round_levels(resampled(image.astype(np.float32), scale, offset_px, interpolation))
 
 
 def resampled(image: Levels, scale: Pair, offset_px: Pair, interpolation: int) -> Levels:
@@ -156,6 +162,25 @@ def resampled(image: Levels, scale: Pair, offset_px: Pair, interpolation: int) -
 def centring(scale: Pair, size: Size) -> Pair:
     """Return the offset, px, with which scaling pixel indices leaves the centre where it is."""
     return (np.array(size) - 1) / 2 * (1 - scale)
+
+
+def at_ends(values: Values) -> list[Values]:
+    """Return the parameters of a finding with each one at the lower and upper end of its interval.
+
+    Args:
+        values: with the half width of the interval of ``NAME`` as ``NAME_error``, where it has one.
+
+    Examples:
+        >>> at_ends({"slope": 2.0, "slope_error": 0.5})
+        [{'slope': np.float64(1.5), 'slope_error': 0}, {'slope': np.float64(2.5), 'slope_error': 0}]
+    """
+    ends: list[Values] = []
+    for name in values:
+        if f"{name}_error" in values:
+            for sign in (-1, 1):
+                end = np.add(values[name], sign * values[f"{name}_error"])
+                ends.append({**values, name: end, f"{name}_error": 0})
+    return ends
 
 
 # Question of a finding -> the change that it finds.

@@ -6,7 +6,7 @@ from typing import Final
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.what_if.undo import apply
-from ggvs_eval.contrib.what_if.what_if import FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
+from ggvs_eval.contrib.what_if.what_if import FEWEST_FRAMES, cell_text, what_if
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, middle_of, views_of_run
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -47,25 +47,18 @@ def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
         name: replace(one, frames=middle_of(one.frames, MOST_FRAMES), truth_frames=one.frames) for name, one in views.items()
     }
     try:
-        faults = estimate(sampled, cameras_of_run(run))
-        words = ", ".join(undo.words() for undo in faults[0])
-        scored = score_undone(sampled, faults, run.protocol().measurement, (METRIC,), words)
+        found = what_if(sampled, cameras_of_run(run), run.protocol().measurement, (METRIC,))
     except RenderError:
         return None  # frames that nothing can be estimated on or scored on; the fault itself is reported elsewhere
-    if not scored.rows or METRIC in scored.not_computed:
+    if not found.rows or METRIC in found.not_computed:
         return None
-    treated = {name: apply(faults[0], name, view) for name, view in views.items()}
+    undos = found.best.undos
+    words = ", ".join(undo.words() for undo in undos)
+    treated = {name: apply(undos, name, view) for name, view in views.items()}
 
     def read(view: str, frame: int) -> Image8 | None:
         return treated[view].rendered(frame) if frame in treated[view].frames else None
 
-    return UndoneRenders(words, _sentence(scored), read)
-
-
-def _sentence(found: WhatIf) -> str:
-    """The score as handed in, and with every fault undone."""
-    most = max(len(row.faults) for row in found.rows)
-    rows = [row for row in found.rows if row.words == HONEST or len(row.faults) == most]
-    scores = "; ".join(f"{row.words} {cell_text(METRIC, row.scores[METRIC])} dB" for row in rows)
+    scores = "; ".join(f"{row.words} {cell_text(METRIC, row.scores[METRIC])} dB" for row in (found.rows[0], found.best))
     where = f"estimated on frames {as_ranges(list(found.estimated_on))}, scored on {as_ranges(list(found.scored_on))}"
-    return f"{METRIC} {scores}; not ranked, {where}"
+    return UndoneRenders(words, f"{METRIC} {scores}; not ranked, {where}", read)

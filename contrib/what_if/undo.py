@@ -1,23 +1,23 @@
 """Faults of rendered frames undone: of each finding of the doctor the change that takes it back, and what it costs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.finding import Finding, Verdict, worst
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, take_sample
-from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES
-from ggvs_eval.pipelines.inspection.renders.tone import tone_curves
-from ggvs_eval.transforms import TRANSFORMS, Transform
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.undo import change_of
+from ggvs_eval.transforms import Transform, at_ends
 
-# Parameters of a fault that the views differ in by less have one cause, and differ by what they were measured with.
-SAME_WITHIN = {"shift_x_px": 0.1, "shift_y_px": 0.1, "scale_x": 0.004, "scale_y": 0.004, "power": 0.05}
-# One gain for everything: smaller ones are within what exposure and rounding leave; honest methods have another in each view or
-# channel, and haze adds light. With fewer views it could be the exposure of the test camera.
-LEAST_GAIN, GAIN_SPREAD, LARGEST_HAZE_255 = 0.015, 0.01, 1.5
-FEWEST_VIEWS, FEWEST_LEVELS = 2, 8
-GAIN = "gain"
+# What levels lose is known within a factor of two. Renders are hardly sharper than the truth, and hardly have a tenth of the
+# squared error of themselves interpolated.
+MARGIN, PLAUSIBLE, LEAST_SHARE = 2.0, 1.2, 0.1
+# Cubic interpolation has lost at most so many times what linear interpolation of the result loses.
+SHARP = 2.0
+Change = Callable[[ViewFrames], ViewFrames]
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,16 @@ class Way:
         words: what is done.
         is_exact: whether no value is interpolated or rounded.
         border_px: width along each side within which pixels are made of pixels outside the picture.
+        transform: of the pictures; None where only their order is changed.
+        at_ends: the same with each parameter of the fault at an end of its interval; none where these are known.
     """
 
     words: str
-    change: Callable[[ViewFrames], ViewFrames]
+    change: Change
     is_exact: bool = True
     border_px: int = 0
+    transform: Transform | None = None
+    at_ends: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,24 +48,26 @@ class Undo:
         fault: question of the findings.
         verdict: the surest of them.
         ways: name of a view -> what undoes the fault there; other views stay as they are.
-        of_truth: the same by changes of the truth instead, where the renders would be interpolated.
         views: how many there are.
     """
 
     fault: str
     verdict: Verdict
     ways: dict[str, Way]
-    of_truth: dict[str, Way]
     views: int
 
-    def words(self, on_truth: bool = False) -> str:
+    def words(self) -> str:
         """Return what is done, for a row of a table: one way for all that share it, in how many views."""
-        ways = self.of_truth if on_truth else self.ways
-        several = list(dict.fromkeys(way.words for way in ways.values()))
+        several = list(dict.fromkeys(way.words for way in self.ways.values()))
         words = " or ".join(several)
         if len(several) > 2:
-            words = f"{several[0]} in {next(iter(ways))}, others by their own"
-        return words if len(ways) == self.views else f"{words}, in {len(ways)} of {self.views} views"
+            words = f"{several[0]} in {next(iter(self.ways))}, others by their own"
+        return words if len(self.ways) == self.views else f"{words}, in {len(self.ways)} of {self.views} views"
+
+    def at_end(self, number: int) -> "Undo":
+        """Return the same with one parameter of every view at an end of its interval."""
+        ways = {name: replace(way, change=way.at_ends[number]) if way.at_ends else way for name, way in self.ways.items()}
+        return replace(self, ways=ways)
 
 
 def list_undos(findings: Sequence[Finding], views: Mapping[str, ViewFrames]) -> tuple[list[Undo], list[Finding]]:
@@ -77,65 +83,88 @@ def list_undos(findings: Sequence[Finding], views: Mapping[str, ViewFrames]) -> 
     """
     astray = {finding.subject for finding in findings if finding.question == "wrong camera"}
     blank = {finding.subject for finding in findings if finding.question == "blank frames"}
-    by_fault: dict[str, list[Finding]] = {fault: [] for fault in _FAULTS}
+    by_fault: dict[str, dict[str, Way]] = {fault: {} for fault in _FAULTS}
     rest: list[Finding] = []
     for finding in findings:
         is_unsure = finding.question == "reversed time" and finding.subject in blank
-        is_undone = finding.question in by_fault and finding.subject not in astray and not is_unsure
-        (by_fault[finding.question] if is_undone else rest).append(finding)
-    undos = [_undo(fault, of_fault, views) for fault, of_fault in by_fault.items() if of_fault]
-    if not by_fault["tone curve"] and not by_fault["value range"] and not astray:
-        undos += _gain_undos({name: apply(undos, name, view) for name, view in views.items()})
+        if finding.question in by_fault and finding.subject not in astray and not is_unsure:
+            by_fault[finding.question][finding.subject] = _way(finding, views[finding.subject])
+        else:
+            rest.append(finding)
+    undos = []
+    for fault, ways in by_fault.items():
+        if ways:
+            verdict = worst([finding for finding in findings if finding.question == fault])
+            undos.append(Undo(fault, verdict, ways, len(views)))
     return undos, rest
 
 
-def apply(undos: Sequence[Undo], name: str, view: ViewFrames, on_truth: bool = False) -> ViewFrames:
-    """A view with faults undone, those of its geometry on the truth's side if wanted."""
+def apply(undos: Sequence[Undo], name: str, view: ViewFrames) -> ViewFrames:
+    """A view with faults undone."""
     for undo in undos:
-        ways = undo.of_truth if on_truth and undo.of_truth else undo.ways
-        view = ways[name].change(view) if name in ways else view
+        view = undo.ways[name].change(view) if name in undo.ways else view
     return view
 
 
-def _undo(fault: str, findings: Sequence[Finding], views: Mapping[str, ViewFrames]) -> Undo:
-    undo = Undo(fault, worst(findings), {}, {}, len(views))
-    for finding in findings:
-        name, values = finding.subject, dict(finding.values) | _alike(findings)
-        if fault in _OF_TIME:
-            undo.ways[name] = _OF_TIME[fault](round(values["offset_frames"]))
-            continue
-        height, width = views[name].truth(views[name].frames[0]).shape[:2]
-        transform = TRANSFORMS[fault](values, (width, height))
-        undo.ways[name] = _of_renders(transform)
-        if transform.truth_words:
-            undo.of_truth[name] = _of_truth(transform)
-    return undo
+def put_back(undos: Sequence[Undo], name: str, undone: Image8, truth: Image8, sign: int) -> Image8:
+    """Return an undone frame with more errors (sign 1) or less (-1) by what was lost, or with lost detail put back (0).
+
+    Reading:
+        What levels lose by rounding and clipping is what the truth loses: a pixel in which the truth would have become the undone
+        level may have been the truth, and errors like those of the truth, but mirrored, come on top. What interpolation loses is
+        a part of the squared error, or lowered it; of soft renders, whose errors look like it, about twice what it loses again.
+    """
+    change = 0.0
+    for undo in undos:
+        transform = undo.ways[name].transform if name in undo.ways else None
+        if transform and transform.soft and not sign:
+            undone = round_levels(undone + 2 * (undone.astype(np.float32) - transform.inverse(transform.soft(undone))))
+        elif transform and transform.soft:
+            change += sign * lost_energy(transform, undone, truth)
+        elif transform:
+            survivor = transform.inverse(transform.apply(truth))
+            lost = MARGIN * (truth.astype(np.float32) - survivor)[:, ::-1]
+            undone = round_levels(undone + lost) if sign > 0 else np.where(survivor == undone, truth, undone)
+    error = undone.astype(np.float32) - truth
+    return round_levels(truth + error * np.sqrt(max(1 + change / max(np.square(error).mean(), 1e-9), LEAST_SHARE)))
 
 
-def _alike(findings: Sequence[Finding]) -> dict[str, float]:
-    """Parameters that all views have alike, as their median, which is surer than that of one view."""
-    alike = {}
-    for key, largest in SAME_WITHIN.items():
-        of_views = [finding.values[key] for finding in findings if key in finding.values]
-        if of_views and np.ptp(of_views) < largest:
-            alike[key] = float(np.median(of_views))
-    return alike
+def lost_energy(transform: Transform, undone: Image8, truth: Image8) -> float:
+    """Estimate the mean squared difference of a frame from the same after interpolation and its undoing.
+
+    Reading:
+        An undone frame that was interpolated lost the more, the sharper the renders are. How much it loses by a second time says
+        how sharp, and the truth says what its like has lost before. A frame that is sharper than the undone truth was not
+        interpolated linearly, and lost less.
+    """
+    survivor = transform.inverse(transform.soft(truth))
+    loss, of_truth = (_difference(picture, transform.inverse(transform.soft(picture))) for picture in (undone, survivor))
+    if loss > PLAUSIBLE * of_truth:
+        return SHARP * loss
+    return _difference(truth, survivor) * loss / max(of_truth, 1e-9)
 
 
-def _of_renders(transform: Transform) -> Way:
+def _difference(first: Image8, second: Image8) -> float:
+    return float(np.square(first.astype(np.float32) - second).mean())
+
+
+def _way(finding: Finding, view: ViewFrames) -> Way:
+    if finding.question in _OF_TIME:
+        return _OF_TIME[finding.question](round(finding.values["offset_frames"]))
+    transform = change_of(finding, view)
+    nearby = [change_of(replace(finding, values=values), view) for values in at_ends(finding.values)]
     return Way(
         transform.words,
-        lambda view: view.with_rendered(transform.inverse),
+        _of_pictures(transform.inverse),
         transform.is_exact,
         transform.border_px,
+        transform,
+        () if transform.is_exact else tuple(_of_pictures(change.inverse) for change in nearby),
     )
 
 
-def _of_truth(transform: Transform) -> Way:
-    return Way(
-        f"the truth {transform.truth_words} instead",
-        lambda view: view.with_truth(lambda index: transform.apply(view.truth(index))),
-    )
+def _of_pictures(change: Callable[[Image8], Image8]) -> Change:
+    return lambda view: view.with_rendered(change)
 
 
 def _undo_offset(lag: int) -> Way:
@@ -152,31 +181,5 @@ _OF_TIME = {"reversed time": _undo_reversal, "frame offset": _undo_offset}
 _FAULTS = (
     *("mirrored", "wrong resize", "focal length", "shift"),
     *_OF_TIME,
-    *("channel order", "value range", "tone curve"),
+    *("channel order", "value range", "tone curve", "gain"),
 )
-
-
-def find_gain(views: Mapping[str, ViewFrames]) -> float | None:
-    """Return the gain that all channels of all views have alike; None if there is none to speak of.
-
-    Reading:
-        The doctor asks for no gain, since the exposure of cameras differs and methods blend them. One number for every channel of
-        every view, and no haze with it, is hardly the cameras': it is undone as "likely".
-    """
-    curves = [curve for view in views.values() for curve in tone_curves(take_sample(view, SAMPLED_FRAMES))]
-    if len(views) < FEWEST_VIEWS or min(len(curve) for curve in curves) < FEWEST_LEVELS:
-        return None
-    gains = np.array([float(np.median(curve[:, 1] / curve[:, 0])) for curve in curves])
-    haze_255 = float(np.median([np.polyfit(curve[:, 0], curve[:, 1], 1)[1] for curve in curves]))
-    gain = float(np.median(gains))
-    if abs(gain - 1) < LEAST_GAIN or np.ptp(gains) > GAIN_SPREAD or abs(haze_255) > LARGEST_HAZE_255:
-        return None
-    return gain
-
-
-def _gain_undos(views: Mapping[str, ViewFrames]) -> list[Undo]:
-    gain = find_gain(views)
-    if gain is None:
-        return []
-    way = _of_renders(TRANSFORMS[GAIN]({"gain": gain}, (1, 1)))
-    return [Undo(GAIN, "likely", dict.fromkeys(views, way), {}, len(views))]

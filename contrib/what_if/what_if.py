@@ -1,32 +1,32 @@
-"""Scores of rendered frames as they came and with each fault undone, with paired intervals of the differences."""
+"""Scores of rendered frames as they came and with each fault undone, with intervals of what they were without."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import ceil
 from typing import Any
 
+import numpy as np
+
 from ggvs_eval import built_in
-from ggvs_eval.contrib.what_if.undo import Undo, apply, list_undos
+from ggvs_eval.contrib.what_if.undo import Undo, apply, list_undos, put_back
 from ggvs_eval.errors import MetricError, RenderError
 from ggvs_eval.finding import Finding
 from ggvs_eval.measured_frames import measured_frame
 from ggvs_eval.metrics.metric import ViewMetric
-from ggvs_eval.metrics.registry import METRICS, pooling_records, select_metrics
-from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.pipelines.inspection.renders.examine import examine
+from ggvs_eval.metrics.registry import METRICS, select_metrics
+from ggvs_eval.metrics.stream import score_views
+from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.pipelines.run.score_view import metric_options
 from ggvs_eval.protocol import Measurement
-from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import as_ranges
 from ggvs_eval.scoring import FrameReader
-from ggvs_eval.statistics.paired import Comparison, compare
 
 FEWEST_FRAMES = 8  # four to estimate on, fewer do not distinguish neighbouring instants
 HONEST, ALL = "as handed in", "all of these"
-PLACE = "what-if"
-Estimate = tuple[list[Undo], list[Finding], range]  # see `estimate`
+TINY = 1e-12
+Film = Mapping[str, ViewFrames]
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,13 @@ class Score:
 
     Attributes:
         value: mean over frames, then views.
-        gain: difference to the row of the frames as they came, with its paired interval; None in that row itself.
+        low: lower end of where the number of frames without the fault is, see `score_undone`.
+        high: upper end.
     """
 
     value: float
-    gain: Comparison | None
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -48,28 +50,18 @@ class Row:
 
     Attributes:
         words: what was done to them.
-        faults: what that undoes.
-        exact: whether no value was interpolated or rounded for it.
+        undos: the faults that it undoes.
         scores: metric -> number; without those that were not computed.
     """
 
     words: str
-    faults: tuple[str, ...]
-    exact: bool
+    undos: tuple[Undo, ...]
     scores: Mapping[str, Score]
 
-
-def estimate(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader]) -> Estimate:
-    """Return what undoes the faults of the middle half of the frames, in order; what cannot be undone; that half's numbers."""
-    frames = next(iter(views.values())).frames
-    if len(frames) < FEWEST_FRAMES:
-        raise RenderError(
-            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got {len(frames)}; render more"
-        )
-    quarter = len(frames) // 4
-    middle = range(frames.start + quarter, frames.stop - quarter)
-    halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
-    return *list_undos(examine(halves, cameras), halves), middle
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(undo.fault for undo in self.undos)
 
 
 @dataclass(frozen=True)
@@ -84,6 +76,7 @@ class WhatIf:
         border_px: cut off at each side in every row.
         stays: faults that cannot be undone.
         not_computed: metric -> reason.
+        loss: whether any fault is known that explains the PSNR; empty if one was found.
     """
 
     rows: tuple[Row, ...]
@@ -93,10 +86,22 @@ class WhatIf:
     border_px: int
     stays: tuple[Finding, ...]
     not_computed: Mapping[str, str]
+    loss: str = ""
+
+    @property
+    def best(self) -> Row:
+        """The row that is best in its first metric, of equal ones that with the most faults undone."""
+
+        def merit(row: Row) -> tuple[list[float], int]:
+            first = list(row.scores.items())[:1]
+            return [score.value if METRICS[metric].higher_is_better else -score.value for metric, score in first], len(row.undos)
+
+        return max(self.rows, key=merit)
 
     def record(self) -> dict[str, Any]:
         """The same as JSON values."""
-        return asdict(self)
+        rows = [{"words": row.words, "faults": row.faults, "scores": row.scores} for row in self.rows]
+        return asdict(replace(self, rows=rows))
 
 
 def what_if(
@@ -112,85 +117,99 @@ def what_if(
 
     Reading:
         The middle half of the frames says what is wrong and by how much; the first and the last quarter are scored. Neighbours
-        share most of their picture, but a shift that fits noise of the middle does not fit theirs.
+        share most of their picture, but a shift that fits noise of the middle does not fit theirs. All of several faults have a
+        row if that is at least as good as each of them alone in the first metric.
+
+        Undone frames differ from those without the fault in two ways. The parameters of the fault are known within an interval:
+        the frames are scored with each of them at its ends. And what was rounded, clipped or interpolated is lost: they are
+        scored with as many errors less or more. An interval adds up by how much these scores differ from the value, at the first
+        and the last instant.
     """
-    metrics = _frame_metrics(metrics)
-    return score_undone(views, estimate(views, cameras), measurement, metrics)
-
-
-def score_undone(
-    views: Mapping[str, ViewFrames],
-    found: Estimate,
-    measurement: Measurement,
-    metrics: Sequence[str],
-    together: str = ALL,
-) -> WhatIf:
-    """Score frames as they came and with each fault undone, on other frames than the faults were estimated on.
-
-    Args:
-        together: what the row with every fault undone is called, of several.
-    """
-    frames, (undos, stays, middle) = next(iter(views.values())).frames, found
+    frames = next(iter(views.values())).frames
+    if len(frames) < FEWEST_FRAMES:
+        raise RenderError(
+            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got {len(frames)}; render more"
+        )
+    metrics, quarter = _frame_metrics(metrics), len(frames) // 4
+    middle = range(frames.start + quarter, frames.stop - quarter)
+    halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
+    undos, stays = list_undos(examine(halves, cameras), halves)
     if not undos:
-        return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {})
-    treatments = _treatments(undos, together)
-    treated = [{name: apply(one.undos, name, view, one.on_truth) for name, view in views.items()} for one in treatments]
-    shared = [i for i in frames if i not in middle and all(i in view.frames for each in treated for view in each.values())]
+        return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {}, loss="" if stays else explain_loss(views))
+    treatments = [(), *((undo,) for undo in undos), *([tuple(undos)] if len(undos) > 1 else [])]
+    treated = [_treat(views, treatment) for treatment in treatments]
+    shared = [i for i in frames if i not in middle and all(i in view.frames for film in treated for view in film.values())]
     if not shared:
         raise RenderError(f"{len(frames)} frames leave none that every row can score; render more than twice the offset")
     border_px = max(way.border_px for undo in undos for way in undo.ways.values())
-    table: list[tuple[Any, ...]] = []
+    values, not_computed = _score(treated, shared, border_px, measurement, metrics)
+    rows = []
+    for treatment, film, of_row in zip(treatments, treated, values, strict=True):
+        films = [film, *_alternatives(views, treatment, film)]
+        moved, _ = _score(films, sorted({shared[0], shared[-1]}), border_px, measurement, metrics)
+        scores = {metric: _within(value, [row[metric] for row in moved]) for metric, value in of_row.items()}
+        words = f"{treatment[0].words()} ({treatment[0].verdict})" if len(treatment) == 1 else ALL if treatment else HONEST
+        rows.append(Row(words, treatment, scores))
+    found = WhatIf(tuple(rows), tuple(middle), tuple(shared), len(views), border_px, tuple(stays), not_computed)
+    return replace(found, rows=found.rows[:-1]) if len(undos) > 1 and found.best is not rows[-1] else found
+
+
+def _treat(views: Mapping[str, ViewFrames], undos: Sequence[Undo]) -> Film:
+    return {name: apply(undos, name, view) for name, view in views.items()}
+
+
+def _alternatives(views: Mapping[str, ViewFrames], undos: Sequence[Undo], film: Film) -> list[Film]:
+    """Return what frames without the fault may be: with what was lost, rightly or wrongly, and by parameters at their ends."""
+    if all(way.is_exact for undo in undos for way in undo.ways.values()):
+        return []
+    films: list[Film] = [{name: _put_back(view, undos, name, sign) for name, view in film.items()} for sign in (-1, 1, 0)]
+    for at, undo in enumerate(undos):
+        n_ends = max(len(way.at_ends) for way in undo.ways.values())
+        films += [_treat(views, [*undos[:at], undo.at_end(number), *undos[at + 1 :]]) for number in range(n_ends)]
+    return films
+
+
+def _put_back(view: ViewFrames, undos: Sequence[Undo], name: str, sign: int) -> ViewFrames:
+    return replace(view, rendered=lambda index: put_back(undos, name, view.rendered(index), view.truth(index), sign))
+
+
+def _within(value: float, scores: Sequence[float]) -> Score:
+    """A value with its interval, from the first score, three with what was lost, and pairs at the ends of parameters."""
+    if len(scores) == 1:
+        return Score(value, value, value)
+    fewer, more, sharper, *ends = np.array(scores[1:]) - scores[0]
+    lost = fewer, more, -more, sharper, 0.0  # a few errors less gain what as many more cost
+    below, above = np.reshape(ends, (-1, 2)).T
+    slope, bend = (above - below) / 2, (above + below) / 2
+    # The score is a parabola of the parameter, whose vertex may be within the interval.
+    vertex = np.where(np.abs(slope) < 2 * np.abs(bend), -(slope**2) / (4 * bend + TINY), 0.0)
+    extremes = np.stack([below, above, vertex])
+    low = min(lost) - float(np.hypot.reduce(extremes.min(axis=0), initial=0.0))
+    high = max(lost) + float(np.hypot.reduce(extremes.max(axis=0), initial=0.0))
+    return Score(value, value + low, value + high)
+
+
+def _score(
+    films: Sequence[Film], instants: Sequence[int], border_px: int, measurement: Measurement, metrics: Sequence[str]
+) -> tuple[list[dict[str, float]], dict[str, str]]:
+    """Measure films of the same views, and say which metrics cannot be measured."""
+    values: dict[tuple[int, str], list[float]] = {}
     not_computed: dict[str, str] = {}
-    options = metric_options(measurement)
-    for number, each in enumerate(treated):
-        for name, view in each.items():
-            pairs = (
-                (_cut(view.rendered(i), border_px, measurement), _cut(view.truth(i), border_px, measurement)) for i in shared
+    for name, view in films[0].items():
+        pictures = (
+            (
+                [_cut(film[name].rendered(i), border_px, measurement) for film in films],
+                _cut(view.truth(i), border_px, measurement),
             )
-            scored = score_view(pairs, metrics, options)
+            for i in instants
+        )
+        for number, scored in enumerate(score_views(pictures, metrics, metric_options(measurement))):
             not_computed |= scored.not_computed
-            values = [(shared[at], metric, value) for metric, at, value in scored.values if at is not None]
-            table += [(PLACE, PLACE, str(number), "", name, *one) for one in values]
-    results = Results(make_table(table), {"protocol_sha256": "", "pooling": pooling_records(metrics, options)})
-    there = [metric for metric in metrics if metric not in not_computed]
-    rows = tuple(_row(results, number, one, there) for number, one in enumerate(treatments))
-    return WhatIf(rows, tuple(middle), tuple(shared), len(views), border_px, tuple(stays), not_computed)
-
-
-@dataclass(frozen=True)
-class _Treatment:
-    words: str
-    undos: tuple[Undo, ...] = ()
-    on_truth: bool = False
-
-
-def _treatments(undos: Sequence[Undo], together: str) -> list[_Treatment]:
-    """None, each fault, and all of them; where renders are interpolated also the truth instead of them."""
-    listed = [_Treatment(HONEST)]
-    for undo in undos:
-        listed.append(_Treatment(f"{undo.words()} ({undo.verdict})", (undo,)))
-        if undo.of_truth:
-            listed.append(_Treatment(f"{undo.words(on_truth=True)} ({undo.verdict})", (undo,), on_truth=True))
-    if len(undos) > 1:
-        listed.append(_Treatment(together, tuple(undos)))
-        if any(undo.of_truth for undo in undos):
-            listed.append(_Treatment(f"{together}, the truth resampled instead", tuple(undos), on_truth=True))
-    return listed
-
-
-def _row(results: Results, number: int, treatment: _Treatment, metrics: Sequence[str]) -> Row:
-    summary = results.summary()
-    values = {metric: float(summary[metric].to_numpy()[number]) for metric in metrics}
-    scores = {}
-    for metric, value in values.items():
-        gain = replace(compare(results, metric, str(number), "0", PLACE), spread=None) if number else None  # plain numbers
-        scores[metric] = Score(value, gain)
-    return Row(
-        treatment.words,
-        tuple(undo.fault for undo in treatment.undos),
-        all(way.is_exact for undo in treatment.undos for way in undo.ways.values()),
-        scores,
-    )
+            for metric, _, value in scored.values:
+                values.setdefault((number, metric), []).append(value)
+    computed = [metric for metric in metrics if metric not in not_computed]
+    means = [{metric: float(np.mean(values[number, metric])) for metric in computed} for number in range(len(films))]
+    return means, not_computed
 
 
 def _frame_metrics(names: Sequence[str]) -> tuple[str, ...]:
@@ -199,7 +218,9 @@ def _frame_metrics(names: Sequence[str]) -> tuple[str, ...]:
     other = [
         one.name
         for one in selected
-        if not (isinstance(one, ViewMetric) and one.kind == "frame" and not one.corrects_colours)
+        if not (
+            isinstance(one, ViewMetric) and one.kind == "frame" and not one.corrects_colours and one.pooling is ViewMetric.pooling
+        )
         or one.name.rpartition("_")[2] in built_in.REGIONS
     ]
     if other:
@@ -225,30 +246,22 @@ def what_if_text(label: str, found: WhatIf) -> str:
     where = f"frames {as_ranges(list(found.estimated_on))}"
     stays = "".join(f"; {one.question} of {one.subject} stays ({one.verdict})" for one in found.stays)
     if not found.rows:
-        return f"{label}: no fault found that can be undone, in {where} of {found.views} views{stays}"
+        return f"{label}: nothing to undo in {where} of {found.views} views; {found.loss or stays[2:]}"
     metrics = list(found.rows[0].scores)
     lines = [[row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)] for row in found.rows]
-    notes = [one.gain.note for row in found.rows for one in row.scores.values() if one.gain and one.gain.note]
-    rounding = "; resampled or rounded to 8 bit: " + ", ".join(
-        dict.fromkeys(fault for row in found.rows if len(row.faults) == 1 and not row.exact for fault in row.faults)
-    )
     return "\n".join(
         [
             f"{label}: no result: scores without the fault. Estimated on {where}, scored on {as_ranges(list(found.scored_on))} "
             f"of {found.views} views, {found.border_px} px cut off at each side{stays}",
             text_table({"frames": 1, **dict.fromkeys(metrics, 0)}, lines),
-            f"in brackets the difference to the first row and its 95 % interval{rounding if rounding[-2:] != ': ' else ''}",
-            *([f"note: {max(notes, key=len)}"] if notes else []),
+            "in brackets the 95 % interval of the score without the fault, where it is not exact",
             *(f"{metric}: {reason}" for metric, reason in found.not_computed.items()),
         ]
     )
 
 
 def cell_text(metric: str, score: Score) -> str:
-    """Write a number, and in brackets its difference to the first row with the interval."""
+    """Write a number, and in brackets its interval where it has one."""
     digits = METRICS[metric].decimals if METRICS[metric].decimals is not None else 3
-    text, gain = f"{score.value:.{digits}f}", score.gain
-    if gain is None:
-        return text
-    bounds = "" if gain.low is None or gain.high is None else f" [{gain.low:+.{digits}f}, {gain.high:+.{digits}f}]"
-    return f"{text} ({gain.difference:+.{digits}f}{bounds})"
+    text = f"{score.value:.{digits}f}"
+    return text if score.low == score.high else f"{text} [{score.low:.{digits}f}, {score.high:.{digits}f}]"

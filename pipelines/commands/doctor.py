@@ -12,16 +12,16 @@ def doctor(
 ) -> None:
     """Find faults in rendered frames before they are scored.
 
-    Finds frame offsets, reversed time, wrong cameras, swapped channels, gamma, wrong video range, flicker, shifts from a quarter
-    of a pixel, wrong resizing or focal length, JPEG, missing and frozen frames, copied reference frames, and a PSNR above the
-    ceiling of noise and codec. Also reports the error that IV-PSNR forgives, and whether stability is due to blur. Exits with 1
-    if a fault is certain.
+    Finds frame offsets, reversed time, wrong cameras, swapped channels, gains, casts, gamma, wrong video range, flicker, shifts
+    from a quarter of a pixel, wrong resizing or focal length, JPEG, missing and frozen frames, copied reference frames, and a
+    PSNR above the ceiling of noise and codec. Also reports a PSNR that no fault explains, and whether stability is due to blur.
+    Exits with 1 if a fault is certain.
 
     Args:
         renders: frames in any form that `score` accepts, with --capture; or a run folder, for all its methods.
         source: capture and protocol of the renders.
     """
-    from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table, forgiven_error
+    from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss, faults_table
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_there
     from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
@@ -35,9 +35,8 @@ def doctor(
             checked = [doubt_numbering(one, counted_from, start) for one in examine(views, cameras_of_run(folder))]
             findings = [*missing, *checked, *([] if missing else find_seen_views(folder, label))]
             certain |= any(finding.verdict == "certain" for finding in findings)
-            print(f"{label}\n{faults_table(findings)}")
-            is_explained = any(one.verdict == "certain" for one in checked)
-            for line in filter(None, ("" if is_explained else forgiven_error(views), steadiness_line(views))):
-                print(line)
+            print(label, faults_table(findings) if findings else explain_loss(views), sep="\n")
+            if stability := steadiness_line(views):
+                print(stability)
     if certain:
         sys.exit(1)

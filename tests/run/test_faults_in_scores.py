@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -124,6 +123,7 @@ def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monk
     assert merged.spoilt == SPOILT
 
 
+@pytest.mark.slow
 def test_checks_of_other_code_measure_no_metric_again(own_run, monkeypatch):
     """When the checks' code changes they alone are done again; when a frame changes, all is."""
     checked: list[range] = []
@@ -142,22 +142,6 @@ def test_checks_of_other_code_measure_no_metric_again(own_run, monkeypatch):
     first = frame_path(own_run.renders("late", "cam00"), 3)
     write_image(first, 255 - read_image(first))
     assert score(own_run).spoilt == SPOILT
-
-
-def test_a_mild_gamma_is_told_of_a_method_and_not_of_a_camera(own_run, monkeypatch):
-    """What one of three views seems to have is its camera's; what two of them have was written so."""
-
-    def check(checks: QuickChecks, _rendered: FrameReader, _frames: range) -> list[Finding]:
-        return [Finding(checks._view, "tone curve", "likely", "a power")] if checks._view in curved else []
-
-    found = {}
-    with monkeypatch.context() as patch:
-        patch.setattr(QuickChecks, "check", check)
-        for curved in (VIEWS[:1], VIEWS[:2]):
-            patch.setattr(score_view, "checks_code", partial(" ".join, curved))
-            found[curved] = {one.view for one in score(own_run).faults if one.label == "mine"}
-
-    assert found == {VIEWS[:1]: set(), VIEWS[:2]: {*VIEWS[:2]}}
 
 
 @pytest.mark.parametrize("count", [2, 4])

@@ -1,35 +1,35 @@
 """The examination of renders: each question in turn, its finding corrected before the next."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dctn
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.files.images import mean_of_channels, resize
+from ggvs_eval.files.images import mean_of_channels, resize, round_levels
 from ggvs_eval.finding import Finding, verdict_of
-from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
-from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.inspection.renders.copied import WINDOW, find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
-    CameraPictures,
     ViewFrames,
     find_identity,
     longest_run,
+    middle_of,
     remember,
     spread,
 )
-from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
-from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, find_repeated, scan_frames
-from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
+from ggvs_eval.pipelines.inspection.renders.placement import find_placement
+from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, Scan, check_sample, find_repeated, scan_frames
+from ggvs_eval.pipelines.inspection.renders.tone import find_levels
+from ggvs_eval.pipelines.inspection.renders.undo import undo_changes
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.scoring import FrameReader
 
 QUESTION = "test view seen"
-FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"  # what misregistration, colour offset and noise have in an error is between them
 COMPARED = "PSNR"  # whose ceiling was checked
 # Of 192 predictions of what perfect renders score none was off by more than 1 dB.
 LIKELY_DB, CERTAIN_DB = 1.0, 2.0
@@ -77,10 +77,7 @@ def _coefficients(luma: Array32) -> NDArray[np.float64]:
     """Orthonormal discrete cosine transform of all whole blocks, (blocks, 8, 8)."""
     rows, columns = (size // BLOCK_PX for size in luma.shape)
     blocks = luma[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX).swapaxes(1, 2)
-    index = np.arange(BLOCK_PX)
-    basis = np.cos(np.pi * (2 * index[None] + 1) * index[:, None] / (2 * BLOCK_PX)) * np.sqrt(2 / BLOCK_PX)
-    basis[0] /= np.sqrt(2)
-    return np.asarray(np.einsum("ux,nxy,vy->nuv", basis, blocks.reshape(-1, BLOCK_PX, BLOCK_PX), basis, optimize=True))
+    return np.asarray(dctn(blocks.reshape(-1, BLOCK_PX, BLOCK_PX).astype(np.float64), axes=(1, 2), norm="ortho"))
 
 
 def _comb(on: NDArray[np.float64], off: NDArray[np.float64]) -> tuple[float, float] | None:
@@ -111,23 +108,23 @@ PLAIN_PEAK = 40.0
 
 def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     """Look for periods in the curvature along rows and columns, as interpolation leaves them, where fine detail is missing."""
-    peaks: list[dict[float, float]] = []
+    peaks: list[NDArray[np.float64]] = []
     shares: list[float] = []
     for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
         grey = mean_of_channels(rendered)
         peaks += [_axis_peaks(plane) for plane in (grey, grey.T)]  # the weaker of both axes counts
         shares.append(fine_energy(rendered) / max(fine_energy(truth), 1e-9))
-    strength = {period: min(peak[period] for peak in peaks) for period in PERIODS_PX}
-    period = max(strength, key=lambda key: strength[key])
+    strengths = np.min(peaks, axis=0)
+    period, strength = list(PERIODS_PX)[strengths.argmax()], float(strengths.max())
     share = float(np.median(shares))
-    if strength[period] < LIKELY_PEAK or (share > LARGEST_FINE_SHARE and strength[period] < PLAIN_PEAK):
+    if strength < LIKELY_PEAK or (share > LARGEST_FINE_SHARE and strength < PLAIN_PEAK):
         return []
-    verdict = verdict_of(strength[period] > CERTAIN_PEAK)
+    verdict = verdict_of(strength > CERTAIN_PEAK)
     measured = (
-        f"interpolated by {PERIODS_PX[period]}: period of {period:g} px {strength[period]:.0f} times the usual, "
+        f"interpolated by {PERIODS_PX[period]}: period of {period:g} px {strength:.0f} times the usual, "
         f"{100 * share:.0f} % of the finest detail is left"
     )
-    values = {"period_px": period, "peak": strength[period], "fine_share": share}
+    values = {"period_px": period, "peak": strength, "fine_share": share}
     advice = "rendered at a smaller size and enlarged? render at the full size"
     return [Finding(name, "up-scaled", verdict, measured, values, advice)]
 
@@ -138,23 +135,22 @@ def fine_energy(image: Image8) -> float:
     return float(np.mean([np.square(np.diff(grey, 2, axis=axis)).mean() for axis in (0, 1)]))
 
 
-def _axis_peaks(plane: NDArray[np.float32]) -> dict[float, float]:
-    """Peaks in the spectrum of the mean slope or curvature of each column, relative to the usual of that spectrum.
+def _axis_peaks(plane: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Peaks in the spectrum of the mean slope or curvature of each column, relative to the usual of that spectrum, (periods,).
 
     Curvature has the period of linear and cubic interpolation, except for a factor of 2, which only the slope shows.
     """
-    both = [_spectrum_peaks(np.abs(np.diff(plane, order, axis=1)).mean(axis=0)) for order in (1, 2)]
-    return {period: max(peaks[period] for peaks in both) for period in PERIODS_PX}
+    return np.max([_spectrum_peaks(np.abs(np.diff(plane, order, axis=1)).mean(axis=0)) for order in (1, 2)], axis=0)
 
 
-def _spectrum_peaks(profile: NDArray[np.float32]) -> dict[float, float]:
+def _spectrum_peaks(profile: NDArray[np.float32]) -> NDArray[np.float64]:
     level = np.log(profile + 0.05)
     # Only what changes within a few pixels; the picture itself changes slowly.
     fine = level - np.convolve(np.pad(level, 4, mode="edge"), np.ones(9) / 9, mode="valid")
     windowed = fine * np.hanning(len(fine))
-    positions = np.arange(len(fine))
     usual = float(np.median(np.abs(np.fft.rfft(windowed))[len(fine) // 8 :])) + 1e-9
-    return {period: float(abs((windowed * np.exp(-2j * np.pi * positions / period)).sum())) / usual for period in PERIODS_PX}
+    waves = np.exp(-2j * np.pi * np.arange(len(fine)) / np.array([*PERIODS_PX])[:, None])
+    return np.abs(waves @ windowed) / usual
 
 
 FEWEST_FRAMES = 5
@@ -201,9 +197,7 @@ def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
     return np.asarray(np.median(cells.reshape(REGIONS**2, -1), axis=1), dtype=np.float64)
 
 
-def examine(
-    views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None, sampled_frames: int = SAMPLED_FRAMES
-) -> list[Finding]:
+def examine(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None) -> list[Finding]:
     """Find what went wrong between a method and the folder of its renders.
 
     An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is reported only where it explains
@@ -212,66 +206,66 @@ def examine(
     Args:
         views: name -> rendered and captured frames.
         cameras: captured frames of further cameras, which a view may be mistaken for; the views' own are known.
-        sampled_frames: neighbouring instants to look at per view; besides, every rendered frame is read once.
 
     Returns:
         Findings by view, in the order of the views.
     """
     readers = dict(cameras or {}) | {name: view.truth for name, view in views.items()}
     pictures = {name: remember(read) for name, read in readers.items()}
-    examined = {name: _examine_view(name, view, pictures, sampled_frames) for name, view in views.items()}
-    shared = shared_shift({name: one.shift_px for name, one in examined.items() if one.shift_px is not None})
+    views = {
+        name: replace(view, rendered=lru_cache(WINDOW)(view.rendered), truth=lru_cache(WINDOW)(view.truth))
+        for name, view in views.items()
+    }
+    scans: dict[str, Scan] = {}
+    comparable: dict[str, ViewFrames] = {}
+    for name, view in views.items():
+        scans[name] = scan_frames(name, view)
+        if usable := longest_run(scans[name].usable):
+            comparable[name] = _comparable(view, usable, scans[name])
+    on_disk = dict(comparable)
+    found: list[Finding] = []
+    for name, view in comparable.items():
+        of_camera, comparable[name] = find_identity(name, view, pictures)
+        found += of_camera
+    placed = find_placement(comparable)
+    comparable = undo_changes(comparable, placed)
+    found += placed
+    for name, view in comparable.items():
+        of_time, comparable[name] = check_sample(name, view)
+        found += of_time
+    levels = find_levels(comparable, SAMPLED_FRAMES)
+    found += levels
+    for name, view in undo_changes(comparable, levels).items():
+        # Copies among renders of another exposure flicker, too.
+        found += find_copied(name, view) or find_flicker(name, view)
     findings: list[Finding] = []
-    for name, one in examined.items():
-        is_told = any(finding.question == "shift" for finding in one.findings)
-        findings += [*one.findings, *(extra for extra in shared if extra.subject == name and not is_told)]
-    return of_all_views(findings, len(views))
+    for name, scan in scans.items():
+        of_view = [finding for finding in found if finding.subject == name]
+        findings += scan.findings
+        if name in on_disk:
+            findings += find_repeated(name, views[name], scan, of_view) + of_view
+            findings += _find_traces(name, on_disk[name], {finding.question for finding in [*of_view, *scan.findings]})
+    return findings
 
 
-def faults_table(findings: Sequence[Finding], width: int = WIDTH) -> str:
-    """Write the findings as text; views with word for word the same finding share a line."""
-    if not findings:
-        return "no known fault found"
-    return findings_table(findings, width, ("fault", "view"), most_lines=len(findings))
-
-
-@dataclass(frozen=True)
-class _Examined:
-    """Findings of one view, and its shift where it could be measured."""
-
-    findings: list[Finding]
-    shift_px: tuple[float, float] | None = None
-
-
-def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
-    view = replace(view, rendered=lru_cache(WINDOW)(view.rendered), truth=lru_cache(WINDOW)(view.truth))  # asked for often
-    scan = scan_frames(name, view)
-    usable, whole = longest_run(scan.usable), view
-    if not usable:
-        return _Examined(scan.findings)
+def _comparable(view: ViewFrames, usable: range, scan: Scan) -> ViewFrames:
+    """Frames that are compared with the truth, at its size."""
     view = replace(view, frames=usable, truth_frames=view.truth_range)
+    height, width = view.truth(usable[0]).shape[:2]
     has_size = all(finding.question != "wrong size" for finding in scan.findings)
-    if not has_size:
-        height, width = view.truth(usable[0]).shape[:2]
-        view = view.with_rendered(lambda image: resize(image, width, height, "area"))
-    # Traces in the pixels as they are on disk. JPEG has a period, and so have enlarged crops.
-    jpeg = find_jpeg(name, view) if has_size else []
-    enlarged = find_upscaling(name, view) if has_size and not jpeg else []
-    picture = _examine_picture(name, view, cameras, count)
-    enlarged = [] if any(finding.question == "wrong resize" for finding in picture.findings) else enlarged
-    repeated = find_repeated(name, whole, scan, picture.findings)
-    return _Examined([*scan.findings, *repeated, *picture.findings, *enlarged, *jpeg], picture.shift_px)
+    return view if has_size else view.with_rendered(lambda image: resize(image, width, height, "area"))
 
 
-def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
-    """Examine a picture: its view, instant, colours and placement."""
-    findings, view = find_identity(name, view, cameras)
-    placed = find_placement(name, view)
-    sampled, view = check_sample(name, placed.view, count)
-    copied = find_copied(name, view)
-    # Copies among renders of another exposure flicker, too.
-    flicker = [] if copied else find_flicker(name, view)
-    return _Examined([*findings, *sampled, *flicker, *copied, *placed.findings], placed.shift_px)
+def _find_traces(name: str, view: ViewFrames, questions: Collection[str]) -> list[Finding]:
+    """Look for traces in the pixels as they are on disk. JPEG has a period, and so have enlarged crops."""
+    if "wrong size" in questions:
+        return []
+    return find_jpeg(name, view) or ([] if "wrong resize" in questions else find_upscaling(name, view))
+
+
+def faults_table(findings: Sequence[Finding]) -> str:
+    """Write the findings as text; views with word for word the same finding share a line."""
+    return findings_table(findings, WIDTH, ("fault", "view"), most_lines=len(findings))
 
 
 def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
@@ -297,24 +291,28 @@ def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
     return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), measured, values, advice)]
 
 
-def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
-    """Compare IV-PSNR, which tolerates some errors, with the PSNR of the same colours.
+def explain_loss(views: Mapping[str, ViewFrames]) -> str:
+    """State that no fault was found, and whether the PSNR is one that needs none.
 
     Args:
-        views: name -> rendered and captured frames, of which a few are read.
+        views: name -> rendered and captured frames without a finding, of which some in a row are read.
 
     Returns:
-        A sentence with both numbers; empty if no frame has the size of its truth, all are the truth itself, or the metric is
-        not installed.
+        A sentence that has the PSNR and, where they are above it, those of what shows no rendering at all: the captured frames an
+        instant late, and their mean colour.
     """
-    if FORGIVING not in METRICS or PLAIN not in METRICS:
-        return ""
-    iv_psnr, psnr_ycbcr = METRICS[FORGIVING].function, METRICS[PLAIN].function
-    pairs = (pair for view in views.values() for pair in view.pairs(spread(view.frames, INSTANTS)))
-    alike = (pair for pair in pairs if pair[0].shape == pair[1].shape)
-    values = np.array([(psnr_ycbcr(*pair), iv_psnr(*pair), psnr(*pair)) for pair in alike])
-    if not len(values) or values[:, 2].min() >= PSNR_CEILING_DB:
-        return ""
-    plain, forgiving, _ = values.mean(axis=0)
-    numbers = f"is {forgiving:.2f} dB, {forgiving - plain:.1f} dB above PSNR of YCbCr ({plain:.2f} dB)"
-    return f"IV-PSNR, which tolerates shifts of up to 2 px and a global colour offset of up to 3 levels, {numbers}"
+    psnrs_db: list[tuple[float, ...]] = []
+    for view in views.values():
+        frames = middle_of(view.frames, SAMPLED_FRAMES)
+        for index in frames[1:] or frames:
+            truth = view.truth(index)
+            flat = np.broadcast_to(round_levels(truth.mean(axis=(0, 1))), truth.shape)
+            late = view.truth(index - 1) if index > frames.start else flat
+            psnrs_db.append(tuple(psnr(picture, truth) for picture in (view.rendered(index), late, flat)))
+    psnr_db, late_db, flat_db = np.mean(psnrs_db, axis=0)
+    if psnr_db > max(late_db, flat_db):
+        return f"no known fault found; PSNR {psnr_db:.2f} dB"
+    return (
+        f"no known fault explains the PSNR of {psnr_db:.2f} dB; the captured frames one instant late have {late_db:.2f} dB, "
+        f"their mean colour has {flat_db:.2f} dB"
+    )

@@ -27,7 +27,8 @@ MIRRORS = {"as it is": (), "left and right swapped": (1,), "upside down": (0,), 
 # Structure left unexplained, 1 - correlation, relative to the view's own upright picture. Blur, ghosts and casts spoil both
 # hypotheses alike; honest renders of 18 dB had 1.7 or more here, pictures of the wrong camera 0.6 or less.
 CERTAIN_RATIO, LIKELY_RATIO = 0.6, 0.8
-LEAST_CORRELATION = 0.4
+# A shift by some pixels leaves 0.35 of the own picture's mirror image; other pictures have 0.1.
+LEAST_CORRELATION = 0.3
 
 
 @dataclass(frozen=True)

@@ -5,35 +5,33 @@ One picture is fitted onto the other by shift and scale, and how evenly the shif
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.arrays import Array32
 from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.finding import Finding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, shrink, spread
-from ggvs_eval.transforms import centring, resampled
+from ggvs_eval.pipelines.inspection.renders.common_strength import Strength, find_strengths
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, correlation, shrink, spread
+from ggvs_eval.transforms import Pair, centring, resampled
 
 ITERATIONS = 12
 MARGIN_PX = 6
 COARSE_SIDE_PX = 160
-UNSCALED = 1.0
 INSTANTS = 3
 # Half a pixel of a larger picture is still a quarter here, and measured to a twentieth.
 LONGEST_SIDE_PX = 960
-# Renders with good depth are within 0.015 px, evenly to 0.01 px. Wrong depth shifts by up to 0.5 px as a whole, its parts scatter
-# by 0.36 of that and more.
-LEAST_SHIFT_PX = 0.12
-LARGEST_UNEVENNESS, EVEN = 0.3, 0.15
-NEAR_HALF_PX = 0.12
-# Wrong depth made pictures grow by up to 1.7 %, but not alike in both directions, or unevenly: of the growth at the border.
-LEAST_STRETCH, LEAST_ZOOM = 0.025, 0.004
-LARGEST_ANISOTROPY, LARGEST_UNEVEN_GROWTH = 0.12, 0.08
-LARGEST_SCATTER_PX = 0.25  # over the instants
-FEWEST_VIEWS, VIEWS_SCATTER_PX = 3, 0.2
-
+# Standard deviations over views of honest methods with good depth, which have 0.02 px at most. Wrong depth shifts and enlarges
+# pictures too, but unevenly, and not alike in both directions.
+HONEST_SHIFT_PX, HONEST_GROWTH = 0.03, 0.0005
+LEAST_SHIFT_PX, LEAST_STRETCH = 0.12, 0.025
+# Disagreement of the parts of a picture as growth, of half its longer side.
+GROWTH_UNEVENNESS = 4.0
+LARGEST_ANISOTROPY = 0.12
+NEAR_HALF_PX, CERTAIN_EVIDENCE = 0.12, 2.0
 
 SCALES = tuple(1.0741**step for step in range(-5, 6))  # 0.7 to 1.43
 # A coarse scale is taken up only where it explains this much more than none.
@@ -42,19 +40,19 @@ REGIONS = 3
 MEDIAN_SAMPLES = 20_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placement:
-    """Registration of a rendered picture with the true one: rendered(x + shift + (scale - 1)(x - centre)) is truth(x).
+    """Registration of a rendered picture with the true one: rendered(x + shift + growth * (x - centre)) is truth(x).
 
     Attributes:
-        shift_px: rightwards and downwards, at the centre.
-        scale: horizontally and vertically; above 1 the rendering is enlarged.
+        shift_px: rightwards and downwards, at the centre, (2,).
+        growth: horizontally and vertically, (2,); above 0 the rendering is enlarged.
         unevenness_px: usual deviation of nine regions, each on its own, from that, as a standard deviation; a region or two where
             the rendering shows something else do not count.
     """
 
-    shift_px: tuple[float, float]
-    scale: tuple[float, float]
+    shift_px: Pair
+    growth: Pair
     unevenness_px: float
 
 
@@ -63,15 +61,11 @@ def place(rendered: Array32, truth: Array32) -> Placement:
 
     Differences are weighed down where they are larger than usual; slow changes of brightness are taken out.
     """
-    ours, theirs = _outlines(rendered), _outlines(truth)
-    height, width = theirs.shape
-    half = np.array([width / 2, height / 2])
-    start = _coarse_start(rendered, truth)
-    motion = np.array([start.shift_px[0], (start.scale[0] - 1) * half[0], start.shift_px[1], (start.scale[1] - 1) * half[1]])
-    motion = _refine(ours, theirs, motion, np.ones_like(theirs))
-    uneven = _unevenness(ours, theirs, motion)
-    scale = 1 + motion[1] / half[0], 1 + motion[3] / half[1]
-    return Placement((float(motion[0]), float(motion[2])), (float(scale[0]), float(scale[1])), uneven)
+    half_px = np.array(truth.shape[::-1]) / 2
+    scale, shift_px = _coarse_start(rendered, truth)
+    motion = np.array([shift_px, (scale - 1) * half_px])
+    motion, uneven = _refine(_outlines(rendered), _outlines(truth), motion)
+    return Placement(motion[0], motion[1] / half_px, uneven)
 
 
 def _outlines(grey: Array32) -> Array32:
@@ -80,205 +74,156 @@ def _outlines(grey: Array32) -> Array32:
     return np.asarray(smooth - cv2.GaussianBlur(smooth, (0, 0), 8.0), dtype=np.float32)
 
 
-def _coarse_start(rendered: Array32, truth: Array32) -> Placement:
+def _coarse_start(rendered: Array32, truth: Array32) -> tuple[Pair, Pair]:
     """Scale or shift by more than refinement reaches, from small copies; neither unless it explains much more than none."""
     factor = min(COARSE_SIDE_PX / max(truth.shape), 1.0)
     size = round(truth.shape[1] * factor), round(truth.shape[0] * factor)
     small = (cv2.GaussianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), (0, 0), 1.5) for image in (rendered, truth))
     ours, theirs = (np.asarray(image - cv2.GaussianBlur(image, (0, 0), 12.0), dtype=np.float32) for image in small)
-    rests = {(x, y): _rest(ours, theirs, (x, y), (0.0, 0.0)) for x in SCALES for y in SCALES}
-    least = COARSE_GAIN * rests[UNSCALED, UNSCALED]
-    best = min(rests, key=lambda key: rests[key])
-    (x, y), _ = cv2.phaseCorrelate(theirs, ours, cv2.createHanningWindow(size, cv2.CV_32F))
-    if _rest(ours, theirs, (UNSCALED, UNSCALED), (x, y)) < min(least, rests[best]):
-        return Placement((x / factor, y / factor), (1.0, 1.0), 0.0)
-    return Placement((0.0, 0.0), best if rests[best] < least else (1.0, 1.0), 0.0)
+    shift_px, _ = cv2.phaseCorrelate(theirs, ours, cv2.createHanningWindow(size, cv2.CV_32F))
+    none, still = np.ones(2), np.zeros(2)
+    starts = [(none, still), (none, np.array(shift_px)), *((np.array(scale), still) for scale in product(SCALES, SCALES))]
+    rests = [_rest(ours, theirs, *start) for start in starts]
+    scale, shift = starts[np.argmin([COARSE_GAIN * rests[0], *rests[1:]])]
+    return scale, shift / factor
 
 
-def _rest(ours: Array32, theirs: Array32, scale: tuple[float, float], shift_px: tuple[float, float]) -> float:
-    """1 - correlation where both pictures are, the rendered one scaled about its centre and shifted back."""
+def _rest(ours: Array32, theirs: Array32, scale: Pair, shift_px: Pair) -> float:
+    """1 - correlation in the middle, which both pictures show; the rendered one scaled about its centre and shifted back."""
     height, width = theirs.shape
-    scales = np.array(scale)
-    offset_px = centring(scales, (width, height)) + shift_px
-    moved = resampled(ours, scales, offset_px, cv2.INTER_LINEAR)
-    sources = (np.arange(size) * scales[axis] + offset_px[axis] for axis, size in enumerate((width, height)))
-    x, y = ((source >= 0) & (source <= size - 1) for source, size in zip(sources, (width, height), strict=True))
-    first, second = moved[np.ix_(y, x)], theirs[np.ix_(y, x)]
-    energy = float(np.sqrt((first * first).sum() * (second * second).sum()))
-    return 1 - float((first * second).sum()) / energy if energy > 0 else 1.0
+    moved = resampled(ours, scale, centring(scale, (width, height)) + shift_px, cv2.INTER_LINEAR)
+    middle = np.s_[height // 6 : -height // 6, width // 6 : -width // 6]
+    return 1 - correlation(moved[middle], theirs[middle])
 
 
-def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64], window: Array32) -> NDArray[np.float64]:
-    """Gauss-Newton steps on (shift x, growth x, shift y, growth y), growth in pixels at the border."""
+def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Gauss-Newton steps on ((shift x, shift y), (growth x, growth y)), growth in pixels at the border; then the unevenness."""
     height, width = theirs.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
     across, down = (x - (width - 1) / 2) / (width / 2), (y - (height - 1) / 2) / (height / 2)
     truth_x, truth_y = _gradient(theirs)
     for _ in range(ITERATIONS):
-        map_x = (x + motion[0] + motion[1] * across).astype(np.float32)
-        map_y = (y + motion[2] + motion[3] * down).astype(np.float32)
-        moved = cv2.remap(ours, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        slope_x, slope_y = (0.5 * (a + b) for a, b in zip(_gradient(moved), (truth_x, truth_y), strict=True))
-        inside = (
-            (map_x >= MARGIN_PX) & (map_x <= width - 1 - MARGIN_PX) & (map_y >= MARGIN_PX) & (map_y <= height - 1 - MARGIN_PX)
-        )
-        step = _step(theirs - moved, (slope_x, slope_x * across, slope_y, slope_y * down), window * inside.astype(np.float32))
-        motion = motion + step
+        map_x = (x + motion[0, 0] + motion[1, 0] * across).astype(np.float32)
+        map_y = (y + motion[0, 1] + motion[1, 1] * down).astype(np.float32)
+        moved = cv2.remap(ours, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        moved_x, moved_y = _gradient(moved)
+        slope_x, slope_y = (truth_x + moved_x) / 2, (truth_y + moved_y) / 2
+        inside = (np.minimum(map_x, map_y) >= MARGIN_PX) & (map_x < width - MARGIN_PX) & (map_y < height - MARGIN_PX)
+        step = _step(theirs - moved, (slope_x, slope_y, slope_x * across, slope_y * down), inside.astype(np.float32))
+        motion = motion + step.reshape(2, 2)
         if np.abs(step).max() < 2e-3:
             break
-    return motion
+    return motion, _unevenness(ours, theirs, map_x, map_y)
 
 
 def _step(rest: Array32, derivatives: tuple[Array32, ...], window: Array32) -> NDArray[np.float64]:
     """Return the weighted least squares; a rest of twice the usual size counts half."""
     used = rest[window > 0]
     if used.size < 100:
-        return np.zeros(4)
+        return np.zeros(len(derivatives))
     usual = 1.4826 * float(np.median(np.abs(used[:: used.size // MEDIAN_SAMPLES + 1]))) + 1e-3
     weights = window / (1 + np.square(rest / np.float32(2 * usual)))
-    jacobian = np.stack([np.broadcast_to(derivative, rest.shape).ravel() for derivative in derivatives])  # (4, pixels)
+    jacobian = np.stack([derivative.ravel() for derivative in derivatives])  # (parameters, pixels)
     weighted = jacobian * weights.ravel()
     normal = (weighted @ jacobian.T).astype(np.float64)
     # A picture without texture along an axis does not move along it.
     ridge = 1e-6 * float(np.trace(normal)) + 1e-9
-    return np.linalg.solve(normal + ridge * np.eye(4), (weighted @ rest.ravel()).astype(np.float64))
+    return np.linalg.solve(normal + ridge * np.eye(len(normal)), (weighted @ rest.ravel()).astype(np.float64))
 
 
 def _gradient(image: Array32) -> tuple[Array32, Array32]:
-    x, y = (cv2.Sobel(image, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1)))
-    return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+    return cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
 
 
-def _unevenness(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> float:
-    """Measure the scatter of the shifts of single regions about the fit, px."""
-    height, width = theirs.shape
-    left: list[float] = []
-    for row in range(REGIONS):
-        for column in range(REGIONS):
-            ys = slice(row * height // REGIONS, (row + 1) * height // REGIONS)
-            xs = slice(column * width // REGIONS, (column + 1) * width // REGIONS)
-            left += _region_shift(ours, theirs, motion, ys, xs)
-    return 1.4826 * float(np.median(np.abs(left)))
+def _unevenness(ours: Array32, theirs: Array32, map_x: Array32, map_y: Array32) -> float:
+    """Measure the scatter of the shifts that single regions would add to the fit, px, by further steps."""
+    shifts_px = []
+    for rows in np.array_split(np.arange(theirs.shape[0]), REGIONS):
+        for columns in np.array_split(np.arange(theirs.shape[1]), REGIONS):
+            region = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            window = np.zeros_like(theirs[region])
+            window[2:-2, 2:-2] = 1  # derivatives at the rim of a region are one-sided
+            added = np.zeros(2, np.float32)
+            for _ in range(4):
+                moved = cv2.remap(ours, map_x[region] + added[0], map_y[region] + added[1], cv2.INTER_LINEAR)
+                step = _step(theirs[region] - moved, _gradient(moved), window)
+                added += np.clip(step, -0.5, 0.5).astype(np.float32)
+            shifts_px.append(added)
+    return 1.4826 * float(np.median(np.abs(shifts_px)))
 
 
-def _region_shift(ours: Array32, theirs: Array32, motion: NDArray[np.float64], ys: slice, xs: slice) -> list[float]:
-    """Shift that one region would add to the fit, by two further steps."""
-    height, width = theirs.shape
-    y, x = np.mgrid[ys, xs].astype(np.float32)
-    map_x = x + motion[0] + motion[1] * (x - (width - 1) / 2) / (width / 2)
-    map_y = y + motion[2] + motion[3] * (y - (height - 1) / 2) / (height / 2)
-    added = np.zeros(2)
-    for _ in range(4):
-        moved = cv2.remap(ours, (map_x + added[0]).astype(np.float32), (map_y + added[1]).astype(np.float32), cv2.INTER_CUBIC)
-        rest, (slope_x, slope_y) = theirs[ys, xs] - moved, _gradient(moved)
-        zero = np.zeros_like(slope_x)
-        window = np.zeros_like(rest)
-        window[2:-2, 2:-2] = 1  # derivatives at the rim of a region are one-sided
-        step = _step(rest, (slope_x, zero, slope_y, zero), window)
-        added += np.clip(step[[0, 2]], -0.5, 0.5)
-    return [float(added[0]), float(added[1])]
-
-
-@dataclass(frozen=True)
-class Placed:
-    """Placement of the picture of a view.
-
-    Attributes:
-        findings: what is wrong with it.
-        view: the view, a wrong scale of the picture corrected.
-        shift_px: rightwards and downwards; None if the scale is wrong too.
-    """
-
-    findings: list[Finding]
-    view: ViewFrames
-    shift_px: tuple[float, float] | None
-
-
-def find_placement(name: str, view: ViewFrames) -> Placed:
-    """Register some full-sized frames; a fault moves all of them alike, and all parts of each."""
-    placed, factor = [], 1.0
-    for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
-        factor = max(max(truth.shape[:2]) / LONGEST_SIDE_PX, 1.0)
-        placed.append(place(*(mean_of_channels(shrink(image, LONGEST_SIDE_PX)) for image in (rendered, truth))))
-    stretched = _evaluate_scale(name, placed) or _evaluate_zoom(name, placed, view)
-    if not stretched:
-        x, y = (float(value) for value in np.median([one.shift_px for one in placed], axis=0))
-        return Placed(_evaluate_shift(name, placed, factor), view, (factor * x, factor * y))
-    scale = np.array([stretched[0].values["scale_x"], stretched[0].values["scale_y"]])
-
-    def reduced(image: Image8) -> Image8:
-        return resampled(image, scale, centring(scale, image.shape[1::-1]), cv2.INTER_LINEAR)
-
-    return Placed(stretched, view.with_rendered(reduced), None)
-
-
-def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
-    """Return a shift that all views have alike, which single ones may leave in doubt: wrong depth moves each view its own way."""
-    if len(shifts_px) < FEWEST_VIEWS:
+def find_placement(views: Mapping[str, ViewFrames]) -> list[Finding]:
+    """Register some full-sized frames of all views: their scale, then the shift that is left without it."""
+    if not views:
         return []
-    shifts = np.array(list(shifts_px.values()))
-    x, y = (float(value) for value in np.median(shifts, axis=0))
-    scatter = float(np.abs(shifts - (x, y)).max())
-    if max(abs(x), abs(y)) < LEAST_SHIFT_PX or scatter > VIEWS_SCATTER_PX:
-        return []
-    measured = f"all {len(shifts)} views are {x:+.2f} px right and {y:+.2f} px down, within {scatter:.2f} px"
-    values = {"shift_x_px": x, "shift_y_px": y, "scatter_px": scatter}
-    return [Finding(name, "shift", "likely", measured, values, _shift_advice(x, y)) for name in shifts_px]
+    placed = [_register(view) for view in views.values()]
+    uneven_px = np.array([[placement.unevenness_px] for placement in placed])
+    half_px = np.array([[max(view.truth(view.frames[0]).shape) / 2] for view in views.values()])
+    growths = np.array([placement.growth for placement in placed])
+    shifts_px = np.array([placement.shift_px for placement in placed]) / (1 + growths)
+    scales = find_strengths(growths, HONEST_GROWTH, GROWTH_UNEVENNESS * uneven_px / half_px)
+    shifts = find_strengths(shifts_px, HONEST_SHIFT_PX, uneven_px)
+    found = [_describe_scale(name, strength) for name, strength in zip(views, scales, strict=True) if strength]
+    found += [_describe_shift(name, strength) for name, strength in zip(views, shifts, strict=True) if strength]
+    return [finding for finding in found if finding]
 
 
-def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:
-    scales = np.array([one.scale for one in placed])  # (instants, 2)
-    scale_x, scale_y = (float(value) for value in np.median(scales, axis=0))
-    strongest = max(abs(scale_x - 1), abs(scale_y - 1))
-    if strongest < LEAST_STRETCH or float(np.ptp(scales, axis=0).max()) > 0.3 * strongest:
-        return []
-    verdict = verdict_of(strongest > 2 * LEAST_STRETCH)
-    how = "stretched" if abs(scale_x / scale_y - 1) > LEAST_STRETCH / 2 else "enlarged" if scale_x > 1 else "reduced"
-    measured = f"picture is {how}: {100 * scale_x:.1f} % of its width, {100 * scale_y:.1f} % of its height, at all instants"
-    advice = (
-        "cropped or resized to another aspect? resize whole frames, and scale the intrinsics (fx, cx by width, fy, cy by height)"
-    )
-    return [Finding(name, "wrong resize", verdict, measured, {"scale_x": scale_x, "scale_y": scale_y}, advice)]
+def _register(view: ViewFrames) -> Placement:
+    """Return the median over some instants, in pixels of the full size; instants that disagree are uneven, too."""
+    factor = max(max(view.truth(view.frames[0]).shape) / LONGEST_SIDE_PX, 1.0)
+    placed = []
+    for pair in view.pairs(spread(view.frames, INSTANTS)):
+        rendered, truth = (mean_of_channels(shrink(image, LONGEST_SIDE_PX)) for image in pair)
+        placed.append(place(rendered, truth))
+    shifts_px = factor * np.array([placement.shift_px for placement in placed])
+    growths = [placement.growth for placement in placed]
+    uneven_px = factor * np.median([placement.unevenness_px for placement in placed])
+    uneven_px = float(np.hypot(uneven_px, shifts_px.std(axis=0).max()))
+    return Placement(np.median(shifts_px, axis=0), np.median(growths, axis=0), uneven_px)
 
 
-def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list[Finding]:
-    """Return a little larger or smaller about the centre, alike in both directions and all parts, as by another focal length."""
-    zooms = np.array([one.scale for one in placed]) - 1  # (instants, 2)
-    zoom_x, zoom_y = (float(value) for value in np.median(zooms, axis=0))
-    zoom = (zoom_x + zoom_y) / 2
-    height, width = view.truth(view.frames[0]).shape[:2]
-    half_px = min(max(height, width), LONGEST_SIDE_PX) / 2
-    uneven = float(np.median([one.unevenness_px for one in placed]))
-    is_even = uneven < LARGEST_UNEVEN_GROWTH * abs(zoom) * half_px
-    if abs(zoom) < LEAST_ZOOM or abs(zoom_x - zoom_y) > LARGEST_ANISOTROPY * abs(zoom) or not is_even:
-        return []
-    if float(np.ptp(zooms, axis=0).max()) > 0.3 * abs(zoom):
-        return []
-    measured = (
-        f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {100 * abs(zoom):.1f} % about its centre, equally in all parts"
-    )
-    values = {"scale_x": 1 + zoom_x, "scale_y": 1 + zoom_y, "unevenness_px": uneven}
-    advice = "check fx and fy: intrinsics of another size or before undistortion, or wrong calibration of the captured camera?"
-    return [Finding(name, "focal length", "likely", measured, values, advice)]
+def _describe_scale(name: str, strength: Strength) -> Finding | None:
+    """Return a stretched, enlarged or reduced picture; a little, as by another focal length, only alike in both directions."""
+    growth, error = strength.value, strength.half_width.max()
+    zoom = growth.mean()
+    how = "enlarged" if zoom > 0 else "reduced"
+    if np.abs(growth).max() < LEAST_STRETCH:
+        is_alike = np.ptp(growth) <= LARGEST_ANISOTROPY * abs(zoom) + error
+        if strength.evidence.min() < 1 or not is_alike:
+            return None
+        question, verdict, growth = "focal length", verdict_of(False), np.full(2, zoom)
+        measured = f"picture is {how} by {abs(zoom):.2%} +- {error:.2%} about its centre, equally in all parts"
+        advice = (
+            "check fx and fy: intrinsics of another size or before undistortion, or wrong calibration of the captured camera?"
+        )
+    else:
+        question, verdict = "wrong resize", verdict_of(np.abs(growth).max() > 2 * LEAST_STRETCH)
+        how = "stretched" if np.ptp(growth) > LEAST_STRETCH / 2 else how
+        measured = f"picture is {how}: {1 + growth[0]:.1%} of its width, {1 + growth[1]:.1%} of its height, at all instants"
+        advice = (
+            "cropped or resized to another aspect? resize whole frames, and scale the intrinsics "
+            "(fx, cx by width, fy, cy by height)"
+        )
+    scale_x, scale_y = 1 + growth
+    values = {"scale_x": scale_x, "scale_y": scale_y, "scale_x_error": error, "scale_y_error": error}
+    return Finding(name, question, verdict, measured, values, advice)
 
 
-def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[Finding]:
-    shifts = factor * np.array([one.shift_px for one in placed])
-    x, y = (float(value) for value in np.median(shifts, axis=0))
-    uneven = factor * float(np.median([one.unevenness_px for one in placed]))
-    size = max(abs(x), abs(y))
-    if size < LEAST_SHIFT_PX or uneven > LARGEST_UNEVENNESS * size or np.ptp(shifts, axis=0).max() > LARGEST_SCATTER_PX * factor:
-        return []
-    whole = max(abs(2 * value - round(2 * value)) / 2 for value in (x, y))
-    verdict = verdict_of(size > 0.5 - NEAR_HALF_PX and whole < NEAR_HALF_PX and uneven < EVEN * size)
-    measured = f"the whole picture is {x:+.2f} px right and {y:+.2f} px down, parts of it deviate by {uneven:.2f} px"
-    values = {"shift_x_px": x, "shift_y_px": y, "unevenness_px": uneven}
-    return [Finding(name, "shift", verdict, measured, values, _shift_advice(x, y))]
+def _describe_shift(name: str, strength: Strength) -> Finding | None:
+    x, y = strength.value
+    size, error_px = max(abs(x), abs(y)), strength.half_width.max()
+    if size < LEAST_SHIFT_PX:
+        return None
+    is_half = np.abs(2 * strength.value - np.rint(2 * strength.value)).max() / 2 < NEAR_HALF_PX
+    is_certain = is_half and strength.evidence.max() > CERTAIN_EVIDENCE and size > 0.5 - NEAR_HALF_PX
+    measured = f"the whole picture is {x:+.2f} px right and {y:+.2f} px down, within {error_px:.2f} px"
+    values = {"shift_x_px": x, "shift_y_px": y, "shift_x_px_error": error_px, "shift_y_px_error": error_px}
+    return Finding(name, "shift", verdict_of(is_certain), measured, values, _shift_advice(size))
 
 
-def _shift_advice(x: float, y: float) -> str:
-    if abs(max(abs(x), abs(y)) - 0.5) < NEAR_HALF_PX:
+def _shift_advice(size_px: float) -> str:
+    if abs(size_px - 0.5) < NEAR_HALF_PX:
         return "pixel centres are at +0.5: check cx, cy and the resize convention (align_corners)"
-    if max(abs(x), abs(y)) < 0.5:
+    if size_px < 0.5:
         return "check cx and cy, and resizes without antialiasing; or calibration error of the captured camera?"
     return "check cx, cy, the origin of pixel coordinates and crops by a few pixels"

@@ -30,7 +30,9 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
     shrink,
     take_sample,
 )
-from ggvs_eval.pipelines.inspection.renders.tone import find_tone, of_all_views
+from ggvs_eval.pipelines.inspection.renders.placement import find_placement
+from ggvs_eval.pipelines.inspection.renders.tone import find_tone
+from ggvs_eval.pipelines.inspection.renders.undo import undo_changes
 from ggvs_eval.run_folder import as_ranges
 from ggvs_eval.scoring import FrameCheck, FrameReader, ScoredMethod
 from ggvs_eval.transforms import order_name, reordered
@@ -109,7 +111,11 @@ class QuickChecks:
             return scan.findings
         view = replace(view, frames=usable)
         mirrored, view = find_identity(self._view, view, {self._view: remember(self._small_truth)})
-        sampled, _ = check_sample(self._view, view)
+        placed = find_placement({self._view: view})  # whose findings are left to `examine`
+        view = undo_changes({self._view: view}, placed)[self._view]
+        sampled, view = check_sample(self._view, view)
+        tones = find_tone({self._view: take_sample(view, SAMPLED_FRAMES)})
+        sampled += [finding for finding in tones if finding.verdict == "certain"]  # likely ones need more views than one
         repeated = find_repeated(self._view, view, scan, sampled)
         middle = ViewFrames(rendered, self._truth, middle_of(usable, COPIED_FRAMES), self._numbers)
         return [*scan.findings, *repeated, *mirrored, *sampled, *find_copied(self._view, middle)]
@@ -123,20 +129,18 @@ class _QuickQuestion:
         return QuickChecks(view, truth, numbers).check
 
     def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
-        """Doubt the numbers of imported frames, and leave out likely tone curves of few views."""
+        """Doubt the numbers of imported frames."""
         counted_from, start = guessed_first(method.run, method.label), method.protocol.frames.start
-        doubted = [
-            (view, doubt_numbering(finding, counted_from, start)) for view, of_view in findings.items() for finding in of_view
-        ]
-        remaining = of_all_views([finding for _, finding in doubted], len(findings))
-        return {view: [finding for of_view, finding in doubted if of_view == view and finding in remaining] for view in findings}
+        return {
+            view: [doubt_numbering(finding, counted_from, start) for finding in of_view] for view, of_view in findings.items()
+        }
 
 
 QUESTION = _QuickQuestion()
 
 
 def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tuple[list[Finding], ViewFrames]:
-    """Ask a burst of neighbouring instants when it is, in which order of channels, and by which tone curve.
+    """Ask a burst of neighbouring instants when it is, and in which order of channels.
 
     Returns:
         Return the findings, and the view with time and channels corrected.
@@ -145,8 +149,7 @@ def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tu
     shifted, view = find_offset(name, view, sample)
     sample = take_sample(view, count) if shifted else sample
     swapped, view = find_channel_order(name, view, sample)
-    sample = take_sample(view, count) if swapped else sample
-    return [*shifted, *swapped, *find_tone(name, sample)], view
+    return [*shifted, *swapped], view
 
 
 def _small(read: FrameReader, kept: int) -> FrameReader:

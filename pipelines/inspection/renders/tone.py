@@ -1,6 +1,6 @@
 """Tone: a second, a missing or a slightly different gamma, and the range of video levels."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.finding import Finding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.identity import Sample
+from ggvs_eval.pipelines.inspection.renders.common_strength import pool_strengths
+from ggvs_eval.pipelines.inspection.renders.identity import Sample, ViewFrames, take_sample
+from ggvs_eval.pipelines.inspection.renders.undo import undo_changes
 from ggvs_eval.transforms import VIDEO_BLACK, VIDEO_SLOPE
 
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.
@@ -17,58 +19,102 @@ BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
 # Values at the ends may have been clipped.
 LOWEST_255, HIGHEST_255 = 3.0, 252.0
 # Honest renders of several methods came out at powers of 0.99 to 1.01, in each channel; a power of 1.1 at 1.09 and more.
-LEAST_POWER, LARGEST_SPREAD = 1.05, 1.08
+LEAST_POWER = 1.05
 # A milky picture is affine: a power law has to leave less than the best affine map, and much less than a gain does. Planted
 # powers of 1.1 left 0.3 to 0.61 and 0.11 to 0.32, honest renders of a rig whose cameras differ in colour by a fifth .77, .52.
 LIKELY_TONE, CERTAIN_TONE, OF_GAIN = 0.7, 0.5, 0.5
 CERTAIN_POWER = 1.5
 # Cameras differ in exposure by some per cent.
-LARGEST_GAIN, LARGEST_RANGE_GAIN = 1.1, 1.15
+LARGEST_GAIN, LARGEST_RANGE_GAIN = 1.5, 1.3
 # Of the intercept, in levels: honest renders had 1.0 at most, squeezed ones 15.5 to 16.7.
 LIKELY_BLACK_255, CERTAIN_BLACK_255 = 4.0, 3.0
 # Levels that noise and averaging leave beyond video black and white.
 FLOOR_255, CEILING_255 = 13.0, 238.0
 QUESTION = "tone curve"
+# Standard deviations over honest views, of logarithms; those of cameras' exposure and balance of red, green and blue.
+HONEST_POWER, HONEST_GAINS = 0.012, np.array([0.02, 0.01, 0.01, 0.01])
+# Light that is added, in levels: honest renders had 1.7 at most in a channel.
+FEWEST_VIEWS, LARGEST_HAZE_255 = 2, 2.5
 Curve = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ToneFit:
-    """Tone curve of one channel: true levels to rendered ones.
+@dataclass(frozen=True, eq=False)
+class ToneFits:
+    """Tone curves, true levels to rendered ones, of some views in each channel; arrays are (views, channels).
 
     Attributes:
         power: of the best power law with a gain; of levels in 0..1.
         of_affine: its error relative to that of the best affine map.
         of_gain: its error relative to that of the best gain alone.
+        slope: of the best affine map.
+        intercept_255: of the best affine map, in levels.
+        gain: usual ratio of rendered and true levels.
     """
 
-    power: float
-    of_affine: float
-    of_gain: float
-    slope: float
-    intercept_255: float
+    power: NDArray[np.float64]
+    of_affine: NDArray[np.float64]
+    of_gain: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    intercept_255: NDArray[np.float64]
+    gain: NDArray[np.float64]
 
 
-def find_tone(name: str, sample: Sample) -> list[Finding]:
-    """Fit the tone curve of each channel."""
-    curves = tone_curves(sample)
-    if min(len(curve) for curve in curves) < FEWEST_BINS:
-        return []
-    fits = [fit_tone(curve) for curve in curves]
-    return _video_range(name, sample, fits) or _power_law(name, fits)
+def find_levels(views: Mapping[str, ViewFrames], count: int) -> list[Finding]:
+    """Look for a tone curve or a range of all views, then for the gain that is left.
+
+    Args:
+        views: the pictures are in place and of the right instants.
+        count: neighbouring instants that are looked at in each view.
+    """
+    findings = find_tone({name: take_sample(view, count) for name, view in views.items()})
+    straight = undo_changes(views, findings)
+    return [*findings, *find_gain({name: take_sample(view, count) for name, view in straight.items()})]
 
 
-def of_all_views(findings: Sequence[Finding], views: int) -> list[Finding]:
-    """Return the findings in a method's views, without likely tone curves of at most half of them.
+def find_tone(samples: Mapping[str, Sample]) -> list[Finding]:
+    """Fit the tone curve of each channel in all views.
 
     Reading:
-        A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light
-        field differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
+        A program that writes frames by another curve writes all of them so. In some of the views a likely curve is the camera's:
+        where one of a light field differs, every method that blends the others looked as if written with a gamma of 0.93.
     """
-    verdicts = [(finding.question, finding.verdict) for finding in findings]
-    if 2 * verdicts.count((QUESTION, "likely")) > views:
-        return list(findings)
-    return [finding for finding, verdict in zip(findings, verdicts, strict=True) if verdict != (QUESTION, "likely")]
+    fits = _fit_views(samples)
+    findings = [] if fits is None else _video_range(samples, fits) or _power_law(samples, fits)
+    if findings or len(samples) == 1:
+        return findings
+    return [finding for name in samples for finding in find_tone({name: samples[name]}) if finding.verdict == "certain"]
+
+
+def _fit_views(samples: Mapping[str, Sample]) -> ToneFits | None:
+    """Fit the tone curves; None where a curve has too few levels."""
+    curves = [tone_curves(sample) for sample in samples.values()]
+    if min((len(curve) for of_view in curves for curve in of_view), default=0) < FEWEST_BINS:
+        return None
+    return ToneFits(*np.moveaxis([[fit_tone(curve) for curve in of_view] for of_view in curves], 2, 0))
+
+
+def find_gain(samples: Mapping[str, Sample]) -> list[Finding]:
+    """Return the gains of red, green and blue that all views have alike.
+
+    Reading:
+        A single view may be brighter by the exposure of its camera, and some views by chance: cameras differ by some per cent,
+        their colours by half as much. Haze adds light and is the method's own.
+    """
+    fits = _fit_views(samples)
+    if len(samples) < FEWEST_VIEWS or fits is None or abs(np.median(fits.intercept_255)) > LARGEST_HAZE_255:
+        return []
+    gains = np.log(fits.gain)
+    exposures = gains.mean(axis=1, keepdims=True)
+    strength = pool_strengths(np.hstack([exposures, gains - exposures]), HONEST_GAINS, np.zeros(1))
+    if strength.evidence.max() < 1:
+        return []
+    has_cast = strength.evidence[1:].max() >= 1
+    gain = np.exp(strength.value[0] + has_cast * strength.value[1:])
+    error = strength.half_width[0] + has_cast * strength.half_width[1]
+    words = ", ".join(f"{channel:.3f}" for channel in gain)
+    measured = f"red, green and blue are {words} of the truth's in all {len(samples)} views, within {error:.3f}"
+    advice = "is an exposure, a white balance or a normalisation applied to the frames, or to the captured ones alone?"
+    return [Finding(name, "gain", "likely", measured, {"gain": gain, "gain_error": error}, advice) for name in samples]
 
 
 def tone_curves(sample: Sample) -> list[Curve]:
@@ -91,8 +137,8 @@ def _levels(theirs: NDArray[np.float32], ours: NDArray[np.float32]) -> Curve:
     return curve[((curve > LOWEST_255) & (curve < HIGHEST_255)).all(axis=1)]
 
 
-def fit_tone(curve: Curve) -> ToneFit:
-    """Fit a power law with a gain, an affine map and a gain to a tone curve, (bins, 2) on the scale 0..255."""
+def fit_tone(curve: Curve) -> tuple[float, ...]:
+    """Fit a power law with a gain, an affine map and a gain to a tone curve, (bins, 2) on the scale 0..255: see `ToneFits`."""
     theirs, ours = curve.T / 255
     slope, intercept = np.polyfit(theirs, ours, 1)
     affine = np.abs(slope * theirs + intercept - ours).mean()
@@ -100,12 +146,13 @@ def fit_tone(curve: Curve) -> ToneFit:
     errors = np.array([_gain_free_error(theirs**power, ours) for power in tried])
     least, rounding = float(errors.min()), 0.2 / 255
     gain = _gain_free_error(theirs, ours)
-    return ToneFit(
-        float(tried[errors.argmin()]),
+    return (
+        tried[errors.argmin()],
         (least + rounding) / (affine + rounding),
         (least + rounding) / (gain + rounding),
-        float(slope),
-        float(255 * intercept),
+        slope,
+        255 * intercept,
+        float(np.median(ours / theirs)),
     )
 
 
@@ -115,19 +162,23 @@ def _gain_free_error(model: Curve, ours: Curve) -> float:
     return float(np.abs(gain * model - ours).mean())
 
 
-def _power_law(name: str, fits: list[ToneFit]) -> list[Finding]:
-    powers = [fit.power for fit in fits]
-    power, rest = float(np.median(powers)), float(np.median([fit.of_affine for fit in fits]))
-    strength, weakest = max(power, 1 / power), min(max(p, 1 / p) for p in powers)
-    agree = max(powers) < max(LARGEST_SPREAD, strength**0.5) * min(powers)
-    of_gain = float(np.median([fit.of_gain for fit in fits]))
-    if weakest < LEAST_POWER or not agree or rest > LIKELY_TONE or of_gain > OF_GAIN:
+def _power_law(samples: Mapping[str, Sample], fits: ToneFits) -> list[Finding]:
+    powers = np.log(fits.power)
+    of_views, uneven = (part(powers, axis=1, keepdims=True) for part in (np.median, np.std))
+    pooled = pool_strengths(of_views, HONEST_POWER, np.median(uneven, axis=0))
+    rest = float(np.median(fits.of_affine))
+    if pooled.evidence[0] < 1 or rest > LIKELY_TONE or np.median(fits.of_gain) > OF_GAIN:
+        return []
+    power = float(np.exp(pooled.value[0]))
+    strength = max(power, 1 / power)
+    if strength < LEAST_POWER:
         return []
     measured = (
         f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {rest:.2f} of the best affine map's residual"
     )
     verdict = verdict_of(strength > CERTAIN_POWER and rest < CERTAIN_TONE)
-    return [Finding(name, QUESTION, verdict, measured, {"power": power, "rest_ratio": rest}, _power_advice(power))]
+    values = {"power": power, "power_error": power * pooled.half_width[0], "rest_ratio": rest}
+    return [Finding(name, QUESTION, verdict, measured, values, _power_advice(power)) for name in samples]
 
 
 def _power_advice(power: float) -> str:
@@ -138,31 +189,27 @@ def _power_advice(power: float) -> str:
     return "write the image unchanged: it, or the reference, was encoded as sRGB twice"
 
 
-def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding]:
+def _video_range(samples: Mapping[str, Sample], fits: ToneFits) -> list[Finding]:
     """Return the levels squeezed into 16..235, or stretched from there although they were not.
 
     Both constants have to be met in each channel, and the cut must be seen: a milky or a dark rendering has an offset too.
     """
-    if _is_squeezed(sample) and _nearness(fits, VIDEO_SLOPE, VIDEO_BLACK) < LIKELY_BLACK_255:
-        what, black = "squeezed into 16..235", _nearness(fits, VIDEO_SLOPE, VIDEO_BLACK)
-    elif _is_stretched(sample) and _nearness(fits, 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE) < LIKELY_BLACK_255 / VIDEO_SLOPE:
+    if all(map(_is_squeezed, samples.values())):
+        what, slope, black_255 = "squeezed into 16..235", VIDEO_SLOPE, VIDEO_BLACK
+    elif all(map(_is_stretched, samples.values())):
         what = "stretched from 16..235 to 0..255 although they were full range"
-        black = _nearness(fits, 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE) * VIDEO_SLOPE
+        slope, black_255 = 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE
     else:
         return []
-    slope, intercept = (float(np.median([getattr(fit, part) for fit in fits])) for part in ("slope", "intercept_255"))
-    measured = f"levels are {what}: rendered = {slope:.2f} x truth {intercept:+.1f}, in each channel"
-    values = {"slope": slope, "intercept_255": intercept}
+    gain = np.exp(np.abs(np.log(fits.slope / slope)).max())
+    off_255 = float(np.abs(np.median(fits.intercept_255, axis=0) - black_255).max()) / max(slope, 1)
+    if gain > LARGEST_RANGE_GAIN or off_255 >= LIKELY_BLACK_255:
+        return []
+    values = {"slope": float(np.median(fits.slope)), "intercept_255": float(np.median(fits.intercept_255))}
+    measured = f"levels are {what}: rendered = {values['slope']:.2f} x truth {values['intercept_255']:+.1f}, in each channel"
     advice = "convert between full and limited range exactly once; mark the range in the video"
-    return [Finding(name, "value range", verdict_of(black < CERTAIN_BLACK_255), measured, values, advice)]
-
-
-def _nearness(fits: list[ToneFit], slope: float, intercept_255: float) -> float:
-    """Return the largest deviation of the channels' intercepts, levels; infinite where a slope is none that exposure explains."""
-    gains = [fit.slope / slope for fit in fits]
-    if max(gains) > LARGEST_RANGE_GAIN or min(gains) < 1 / LARGEST_RANGE_GAIN:
-        return float("inf")
-    return max(abs(fit.intercept_255 - intercept_255) for fit in fits)
+    verdict = verdict_of(off_255 < CERTAIN_BLACK_255)
+    return [Finding(name, "value range", verdict, measured, values, advice) for name in samples]
 
 
 def _is_squeezed(sample: Sample) -> bool:
