@@ -29,7 +29,7 @@ class Units:
     origin: str
 
 
-METRIC = Units(1.0, "the data set is metric")
+METRIC = Units(1.0, "assumed of its form, which is that of a metric data set")
 GUESSED = "guess: median scene depth taken for 2 m"
 
 

@@ -15,6 +15,7 @@ OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrins
 # Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
 OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
+TIMES = re.compile(r"time|stamp|sync", re.I)
 TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
 LISTED = 8
 
@@ -36,7 +37,9 @@ def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list
         if not is_known and named.isdisjoint({entry.name, entry.stem}):
             names.append(f"{entry.name}/" if entry.is_dir() else entry.name)
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []
+    timed = [name for name in names if TIMES.search(name)]
+    shift = f"; {', '.join(timed)} may say that frames of one number show different instants" if timed else ""
+    return [f"not used: {', '.join(names[:LISTED])}{more}{shift}"] if names else []
 
 
 def is_own(file: Path) -> bool:

@@ -30,6 +30,12 @@ X264 = "mbtree=0:cpu-independent=1"
 HDR_TRANSFERS = {18: "HLG", 16: "PQ"}  # by their numbers in ITU-T H.273
 PROGRESSIVE = 1  # of FFmpeg's orders of fields; 0 is unknown, what is above is interlaced
 DEINTERLACE = "ffmpeg -i IN -vf bwdif -c:v libx264 -crf 12 OUT.mp4"
+UNSPECIFIED = 2  # of the matrices in ITU-T H.273
+UNTAGGED = (
+    "by the matrix of BT.601, as no tag states one; if they are of BT.709, as HD cameras mean it, write that: ffmpeg -i IN "
+    "-c copy -bsf:v h264_metadata=matrix_coefficients=1 OUT.mp4"
+)
+LEAST_ENTRY = 0.02  # of a display matrix, in its largest: about the degree that ffmpeg allows for a right angle
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
 
@@ -131,7 +137,9 @@ class VideoHeader(NamedTuple):
         tick_ms: length of a tick.
         conversions: changes by reading frames as 8-bit RGB.
         transfer: see `VideoFrames.transfer`.
-        turn_deg: angle by which the first frame is to be turned against the clock.
+        turn_deg: angle by which the first frame is to be turned against the clock, where that is no right one.
+        shown: of the columns and rows as they are stored, where they go as they are shown: signs of the matrix (column by column,
+            column by row, row by column, row by row) that the file states, which can mirror too.
     """
 
     n_frames: int
@@ -145,14 +153,16 @@ class VideoHeader(NamedTuple):
     transfer: str
     interlaced: bool
     turn_deg: int = 0
+    shown: tuple[int, ...] = (1, 0, 0, 1)
 
 
 @dataclass(frozen=True)
 class VideoFrames:
     """The frames of a video file, a `FrameSource`. Frames are numbered in the order of presentation, from 0.
 
-    Colour range and matrix (BT.601, BT.709, ...) follow the file's tags; BT.601 limited range where it has none, as swscale does.
-    Frames are turned as the file says they are to be shown, as pictures are by their EXIF tag.
+    Colour range and matrix (BT.601, BT.709, ...) follow the file's tags; BT.601 limited range where it has none, as swscale does,
+    which is a conversion that is said. Frames are turned and mirrored as the file says they are to be shown, as pictures are by
+    their EXIF tag.
 
     Attributes:
         path: MP4 or MOV file.
@@ -169,7 +179,7 @@ class VideoFrames:
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, as the frames are shown."""
         width, height = self._whole.size
-        return (height, width) if self._quarter_turns % 2 else (width, height)
+        return (height, width) if self._shown_as[1] else (width, height)
 
     @property
     def uneven(self) -> str:
@@ -235,7 +245,7 @@ class VideoFrames:
                     if frame.pts != self._shown[index].presented or frame.is_corrupt:
                         break
                     image = frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
-                    yield np.ascontiguousarray(np.rot90(image, self._quarter_turns)) if self._quarter_turns else image
+                    yield self._oriented(image)
                     index += 1
             except av.error.FFmpegError as error:
                 reason = str(error.strerror)
@@ -312,6 +322,9 @@ class VideoFrames:
             has_alpha = any(component.is_alpha for component in components)
             colours = "grey" if len(components) - has_alpha == 1 and not (stream.format and stream.format.has_palette) else ""
             bits = max((component.bits for component in components), default=8)
+            is_untagged = stream.codec_context.colorspace == UNSPECIFIED and (stream.codec_context.pix_fmt or "").startswith(
+                "yuv"
+            )
             header = VideoHeader(
                 len(samples),
                 sum(sample.pos + sample.size <= n_bytes for sample in samples),
@@ -320,7 +333,7 @@ class VideoFrames:
                 float(stream.average_rate or 0),
                 (min(steps), max(steps)),
                 1000 * float(stream.time_base or 0),
-                tuple(conversions_to_rgb8(colours, bits, has_alpha)),
+                (*conversions_to_rgb8(colours, bits, has_alpha), *([UNTAGGED] if is_untagged else [])),
                 HDR_TRANSFERS.get(int(stream.codec_context.color_trc), ""),
                 stream.codec_context.field_order > PROGRESSIVE,
             )
@@ -330,16 +343,30 @@ class VideoFrames:
                 return header
         if first is None:
             return header
-        return header._replace(interlaced=header.interlaced or first.interlaced_frame, turn_deg=first.rotation)
+        header = header._replace(interlaced=header.interlaced or first.interlaced_frame)
+        for data in first.side_data:
+            if data.type.name == "DISPLAYMATRIX":
+                matrix = np.frombuffer(bytes(data), np.int32).reshape(3, 3)[:2, :2].astype(np.float64)
+                matrix[np.abs(matrix) < LEAST_ENTRY * np.abs(matrix).max()] = 0
+                if np.count_nonzero(matrix) != 2:
+                    return header._replace(turn_deg=first.rotation)
+                header = header._replace(shown=tuple(np.sign(matrix).astype(int).ravel().tolist()))
+        return header
 
     @property
-    def _quarter_turns(self) -> int:
-        """By how many right angles, against the clock, frames are turned before they are shown; the first one says so."""
-        angle_deg = self._header.turn_deg
-        if angle_deg % 90:
+    def _shown_as(self) -> tuple[int, ...]:
+        """Where columns and rows go as frames are shown, see `VideoHeader`; the first frame says so."""
+        if self._header.turn_deg:
             expected = "frames that are shown upright or turned by right angles"
-            raise CaptureError(f"{self.path}: wanted {expected}, got {angle_deg} degrees; {MEND} without a turn")
-        return angle_deg // 90 % 4
+            raise CaptureError(f"{self.path}: wanted {expected}, got {self._header.turn_deg} degrees; {MEND} without a turn")
+        return self._header.shown
+
+    def _oriented(self, image: Image8) -> Image8:
+        """Return a frame as it is shown: turned and mirrored as ffmpeg does."""
+        columns, turned, rows_to_columns, rows = self._shown_as
+        if turned:
+            image, columns, rows = image.transpose(1, 0, 2), rows_to_columns, turned
+        return np.ascontiguousarray(image[::rows, ::columns])
 
     def _open(self) -> "InputContainer":
         import av

@@ -135,7 +135,11 @@ def test_outdoor_is_metric_and_fast(actor_folder):
     """A sequence with hulls is metric and plays at 60 frames per second."""
     write_extras(actor_folder)
     read = open_capture(actor_folder)
-    assert (read.units_per_metre, read.units_origin, read.fps) == (1.0, "the data set is metric", 60.0)
+    assert (read.units_per_metre, read.units_origin, read.fps) == (
+        1.0,
+        "assumed of its form, which is that of a metric data set",
+        60.0,
+    )
     assert open_capture(actor_folder, units=2.0).units_per_metre == 2.0
 
 

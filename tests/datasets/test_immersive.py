@@ -58,7 +58,7 @@ def test_opens_videos_and_extracted_pictures(flames, scene):
     for path in (flames, with_pictures(scene)):
         capture = open_capture(path)
         assert (capture.layout, capture.camera_names, capture.n_frames) == ("immersive", NAMES, N_INSTANTS)
-        assert (capture.units_per_metre, capture.units_origin) == (1.0, "the data set is metric")
+        assert (capture.units_per_metre, capture.units_origin) == (1.0, "assumed of its form, which is that of a metric data set")
         assert [colour[0] for colour in mean_colours(capture, "camera_0002")] == [0, 1]
         for camera, other in zip(capture.cameras, make_rig(PAIR), strict=True):
             np.testing.assert_allclose(camera.K, other.K)

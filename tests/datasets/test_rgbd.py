@@ -92,7 +92,7 @@ def test_opens_a_scannet_export(scannet):
     capture = open_capture(scannet)
     assert (capture.layout, capture.scene, capture.n_frames, capture.fps) == ("rgbd", "scene0000_00", 1, 0.0)
     assert capture.camera_names == ("000000", "000001", "000002", "000009", "000010")
-    assert (capture.units_per_metre, capture.units_origin) == (1.0, "the data set is metric")
+    assert (capture.units_per_metre, capture.units_origin) == (1.0, "assumed of its form, which is that of a metric data set")
     for index, camera in enumerate(capture.cameras):
         image = cv2.imread(str(scannet / "color" / f"{NUMBERS[index]}.jpg"))[..., ::-1]
         assert np.array_equal(capture.frame(camera.name, 0), image)

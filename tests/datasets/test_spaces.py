@@ -72,7 +72,7 @@ def test_opens_every_camera_at_every_position(scene):
     capture = open_capture(scene)
     assert (capture.layout, capture.scene, capture.camera_names) == ("spaces", "scene_000", NAMES)
     assert (capture.n_frames, capture.fps) == (1, 0.0)
-    assert (capture.units_per_metre, capture.units_origin) == (1.0, "the data set is metric")
+    assert (capture.units_per_metre, capture.units_origin) == (1.0, "assumed of its form, which is that of a metric data set")
     for index, name in enumerate(NAMES):
         position, camera = divmod(index, N_CAMERAS)
         file = scene / f"cam_{camera:02d}" / f"image_{position:03d}.JPG"

@@ -264,3 +264,28 @@ def test_interlaced_video_is_told(tmp_path):
 
     assert VideoFrames(tmp_path / "woven.mp4").interlaced
     assert not VideoFrames(tmp_path / "plain.mp4").interlaced
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        ((-1, 0, 0, 1), lambda image: image[:, ::-1]),
+        ((1, 0, 0, -1), lambda image: image[::-1]),
+        ((0, 1, -1, 0), lambda image: np.rot90(image, -1)),
+        ((0, 1, 1, 0), lambda image: image.transpose(1, 0, 2)),
+    ],
+    ids=["mirrored", "upside down and mirrored", "turned", "transposed"],
+)
+def test_a_display_matrix_is_applied_as_ffmpeg_does(tmp_path, matrix, shown):
+    """Turns and mirrorings that the header of a track states; the pixels are those of the file without."""
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:24, :32], image[24:] = (200, 40, 40), (40, 40, 200)
+    write_video(tmp_path / "plain.mp4", [image], 30)
+    content = bytearray((tmp_path / "plain.mp4").read_bytes())
+    start = content.index(b"tkhd") + 44
+    entries = np.array([*matrix[:2], 0, *matrix[2:]], ">i4") << 16
+    content[start : start + 20] = entries.astype(">i4").tobytes()
+    (tmp_path / "turned.mp4").write_bytes(content)
+    plain, turned = (next(VideoFrames(tmp_path / f"{name}.mp4").frames(0, 1)) for name in ("plain", "turned"))
+    assert np.array_equal(turned, shown(plain))
+    assert VideoFrames(tmp_path / "turned.mp4").size == turned.shape[1::-1]
