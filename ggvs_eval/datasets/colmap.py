@@ -75,7 +75,8 @@ def find_model(path: Path) -> Path | None:
     folders = [place / name for place in places for name in MODEL_FOLDERS]
     models = [folder for name in folders for folder in _numbered_models(name) if _holds(folder)]
     if not models:
-        beside = [folder for folder in folders_beside(path) if _holds(folder) and _n_images(folder)]
+        places = [place for folder in folders_beside(path) for place in (folder, *(folder / name for name in MODEL_FOLDERS))]
+        beside = [place for place in places if _holds(place) and _n_images(place)]
         return beside[0] if len(beside) == 1 or path in beside else None
     siblings = [folder for folder in models if folder.parent == models[0].parent]
     return max(siblings, key=_n_images) if len(siblings) > 1 else models[0]

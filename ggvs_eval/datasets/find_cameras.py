@@ -25,6 +25,7 @@ ENTRY = re.compile(
 K_ZEROS, K_POSITIVE, WITH_TRANSLATION = [1, 3, 6, 7], [0, 2, 4, 5], [0, 1, 2, 4, 5, 6, 8, 9, 10]
 LEAST_VARIED = 4  # numbers of a rotation that are not 0 or 1
 ROUNDED = 1e-3  # off an orthonormal matrix, of numbers that were printed with few digits
+LEAST_FOCAL_PX = 10
 UNIT = 1e-4  # off the length of a quaternion
 LEAST_QUATERNIONS = 0.01  # of a file's numbers begin one: those of chance are rarer
 _PICKLES = SideProcess(Path(pickle_reader.__file__))
@@ -82,6 +83,13 @@ def held_cameras(text: str) -> str:
         is_varied = (~np.isin(np.abs(nine), (0, 1))).sum(1) >= LEAST_VARIED
         if (is_varied & (off < ROUNDED)).any():
             return "rotations"
+    projections = windows.reshape(-1, 3, 4)[:, :, :3]  # K R of a matrix K [R t]: its last row is one of R
+    across = np.cross(projections[:, :2], projections[:, 2:])
+    focal_px = np.linalg.norm(across, axis=2)
+    is_scaled = (np.abs(np.linalg.norm(projections[:, 2], axis=1) - 1) < ROUNDED) & (focal_px > LEAST_FOCAL_PX).all(1)
+    skew = np.abs((across[:, 0] * across[:, 1]).sum(1)) / focal_px.prod(1).clip(1)
+    if (is_scaled & (skew < ROUNDED)).any():
+        return "projection matrices"
     fours = windows[:, :4]
     is_unit = (np.abs(np.linalg.norm(fours, axis=1) - 1) < UNIT) & ((np.abs(fours) > UNIT).sum(1) >= LEAST_VARIED - 1)
     if is_unit.sum() > max(1, LEAST_QUATERNIONS * len(numbers)):

@@ -17,6 +17,7 @@ from ggvs_eval.datasets.camera_frames import find_frames, find_picture
 from ggvs_eval.datasets.entries import unknown_entries
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.media import folders_beside
 from ggvs_eval.datasets.rig import RigCamera, pinhole_rig
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -95,9 +96,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
         notes += found.notes
         names = list(found.sources)
         sources = list(found.sources.values())
-    rig = [_rig_camera(files[0], name, frames[name], source) for name, source in zip(names, sources, strict=True)]
     unknown = sorted({key for name in names for key in unknown_entries(files[0], frames[name], KNOWN)})
     notes += [f"{_named(files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
+    rig = [_rig_camera(files[0], name, frames[name], source) for name, source in zip(names, sources, strict=True)]
     lengths = {name: frame[AXES_LENGTH] for name, frame in frames.items() if abs(frame[AXES_LENGTH] - 1) > 2 * LARGEST_DEVIATION}
     if lengths:
         notes.append(
@@ -117,8 +118,11 @@ def _named(files: Sequence[Path]) -> str:
 
 
 def _files(path: Path) -> list[Path]:
-    files = [path / TRANSFORMS] if (path / TRANSFORMS).is_file() else [path / f"transforms_{split}.json" for split in SPLITS]
-    return [file for file in files if file.is_file()]
+    for folder in folders_beside(path):
+        names = [TRANSFORMS] if (folder / TRANSFORMS).is_file() else [f"transforms_{split}.json" for split in SPLITS]
+        if files := [folder / name for name in names if (folder / name).is_file()]:
+            return files
+    return []
 
 
 def _read_rig(files: Sequence[Path]) -> dict[str, dict[str, Any]]:

@@ -271,3 +271,21 @@ def test_pictures_of_two_splits_that_are_called_alike(tmp_path):
     assert (read.camera_names, read.test_views) == (("test_r_0", "train_r_0", "train_r_1", "train_r_2"), ("test_r_0",))
     np.testing.assert_allclose(read.cameras[0].centre, make_rig()[3].centre, atol=1e-12)
     assert "test_r_1 left out: calibrated, but without frames" in read.notes
+
+
+def test_a_field_of_view_that_is_not_read_is_named(tmp_path):
+    """Before its absence from what is read: exporting the file again would write it again."""
+    message = refusal(rewritten(tmp_path / "scene", fl_x=None, fl_y=None, fov=58.1))
+    assert "fov: 58.1 belongs to the lens" in message
+
+
+def test_transforms_in_a_folder_beside_the_pictures(tmp_path):
+    """The file may lie in a folder of its own, with the way to the pictures from there."""
+    values = transforms()
+    for frame in values["frames"]:
+        frame["file_path"] = f"../{frame['file_path']}"
+    write_nerfstudio(tmp_path)
+    (tmp_path / "transforms.json").unlink()
+    (tmp_path / "nerf").mkdir()
+    (tmp_path / "nerf" / "transforms.json").write_text(json.dumps(values))
+    assert open_capture(tmp_path).camera_names == NAMES
