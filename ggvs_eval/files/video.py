@@ -6,7 +6,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -344,14 +344,14 @@ class VideoFrames:
         if first is None:
             return header
         header = header._replace(interlaced=header.interlaced or first.interlaced_frame)
-        for data in first.side_data:
-            if data.type.name == "DISPLAYMATRIX":
-                matrix = np.frombuffer(bytes(data), np.int32).reshape(3, 3)[:2, :2].astype(np.float64)
-                matrix[np.abs(matrix) < LEAST_ENTRY * np.abs(matrix).max()] = 0
-                if np.count_nonzero(matrix) != 2:
-                    return header._replace(turn_deg=first.rotation)
-                header = header._replace(shown=tuple(np.sign(matrix).astype(int).ravel().tolist()))
-        return header
+        side_data: Any = first.side_data  # a container of all kinds, which PyAV's types call a table of one
+        if "DISPLAYMATRIX" not in side_data:
+            return header
+        matrix = np.frombuffer(bytes(side_data["DISPLAYMATRIX"]), np.int32).reshape(3, 3)[:2, :2].astype(np.float64)
+        matrix[np.abs(matrix) < LEAST_ENTRY * np.abs(matrix).max()] = 0
+        if np.count_nonzero(matrix) != 2:
+            return header._replace(turn_deg=first.rotation)
+        return header._replace(shown=tuple(np.sign(matrix).astype(int).ravel().tolist()))
 
     @property
     def _shown_as(self) -> tuple[int, ...]:
