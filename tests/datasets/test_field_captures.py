@@ -29,7 +29,6 @@ from helpers.captures import (
     write_colmap,
     write_colmap_model,
     write_dynerf,
-    write_folders,
     write_poses,
     write_timed_video,
     write_videos,
@@ -126,14 +125,6 @@ def test_junk_is_nobody_s_frame(layout, tmp_path):
     assert capture.notes == clean.notes
     for name, image in first.items():
         np.testing.assert_array_equal(capture.frame(name, 0), image)
-
-
-def test_junk_is_no_camera(tmp_path):
-    """Nor is it one where nothing is known of the cameras."""
-    write_folders(tmp_path, ("a", "b"), "images/{}")
-    add_junk(tmp_path)
-
-    assert list(find_rig_frames(tmp_path)) == ["a", "b"]
 
 
 # Where the frames of a camera lie
@@ -258,15 +249,6 @@ def test_cameras_are_called_by_what_tells_them_apart(case, tmp_path):
     """The folder where pictures are called alike, else the picture; for every calibration that names pictures."""
     assert_rig(NAMED[case](tmp_path / "room"))
     assert tuple(read_known(tmp_path / "room")) == NAMES
-
-
-def test_folders_of_a_camera_hold_its_frames(tmp_path):
-    """The picture that transforms.json names stands for all frames beside it."""
-    folder = with_paths("images/{}/000000.png")(tmp_path / "room")
-    for index, name in enumerate(NAMES):
-        write_image(folder / "images" / name / "000001.png", make_image(index, 1))
-
-    assert_rig(folder, n_frames=2)
 
 
 @pytest.mark.parametrize("names", [("A-DJI plan (0)", "A-DJI plan (1)", "B  two blanks"), ("x", "x y", "x y z")])

@@ -17,13 +17,6 @@ from helpers.captures import (
 )
 
 
-def test_numbers_are_sorted_as_numbers(tmp_path):
-    """Frame 10 comes after frame 9, and even steps other than 1 are accepted."""
-    for frame in range(0, 12, 2):
-        write_image(tmp_path / f"{frame}.png", make_image(0, frame // 2))
-    assert [file.stem for file in ImageFrames(tmp_path).files] == ["0", "2", "4", "6", "8", "10"]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
