@@ -137,8 +137,9 @@ def lost_energy(transform: Transform, undone: Image8, truth: Image8) -> float:
         how sharp, and the truth says what its like has lost before. A frame that is sharper than the undone truth was not
         interpolated linearly, and lost less.
     """
-    survivor = transform.inverse(transform.soft(truth))
-    loss, of_truth = (_difference(picture, transform.inverse(transform.soft(picture))) for picture in (undone, survivor))
+    soft = transform.soft or transform.apply
+    survivor = transform.inverse(soft(truth))
+    loss, of_truth = (_difference(picture, transform.inverse(soft(picture))) for picture in (undone, survivor))
     if loss > PLAUSIBLE * of_truth:
         return SHARP * loss
     return _difference(truth, survivor) * loss / max(of_truth, 1e-9)

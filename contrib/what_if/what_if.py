@@ -100,8 +100,11 @@ class WhatIf:
 
     def record(self) -> dict[str, Any]:
         """The same as JSON values."""
-        rows = [{"words": row.words, "faults": row.faults, "scores": row.scores} for row in self.rows]
-        return asdict(replace(self, rows=rows))
+        rows = []
+        for row in self.rows:
+            scores = {metric: asdict(score) for metric, score in row.scores.items()}
+            rows.append({"words": row.words, "faults": row.faults, "scores": scores})
+        return asdict(replace(self, rows=())) | {"rows": rows}
 
 
 def what_if(

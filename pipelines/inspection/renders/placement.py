@@ -107,7 +107,7 @@ def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> tupl
         map_y = (y + motion[0, 1] + motion[1, 1] * down).astype(np.float32)
         moved = cv2.remap(ours, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         moved_x, moved_y = _gradient(moved)
-        slope_x, slope_y = (truth_x + moved_x) / 2, (truth_y + moved_y) / 2
+        slope_x, slope_y = 0.5 * (truth_x + moved_x), 0.5 * (truth_y + moved_y)
         inside = (np.minimum(map_x, map_y) >= MARGIN_PX) & (map_x < width - MARGIN_PX) & (map_y < height - MARGIN_PX)
         step = _step(theirs - moved, (slope_x, slope_y, slope_x * across, slope_y * down), inside.astype(np.float32))
         motion = motion + step.reshape(2, 2)

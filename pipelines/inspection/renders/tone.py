@@ -90,7 +90,7 @@ def _fit_views(samples: Mapping[str, Sample]) -> ToneFits | None:
     curves = [tone_curves(sample) for sample in samples.values()]
     if min((len(curve) for of_view in curves for curve in of_view), default=0) < FEWEST_BINS:
         return None
-    return ToneFits(*np.moveaxis([[fit_tone(curve) for curve in of_view] for of_view in curves], 2, 0))
+    return ToneFits(*np.array([[fit_tone(curve) for curve in of_view] for of_view in curves]).transpose(2, 0, 1))
 
 
 def find_gain(samples: Mapping[str, Sample]) -> list[Finding]:
