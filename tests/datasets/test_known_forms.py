@@ -117,6 +117,11 @@ def changed(folder: Path, **changes: object) -> Path:
     return write_nerfstudio(folder, values)
 
 
+def test_sizes_of_the_pictures(tmp_path):
+    """What the pictures say is not asked of the file."""
+    assert_rig(open_capture(changed(tmp_path / "scene", w=None, h=None)))
+
+
 def test_matrices_of_intrinsics(tmp_path):
     """K as a matrix of a frame; beside focal lengths both must agree."""
     frames = transforms()["frames"]

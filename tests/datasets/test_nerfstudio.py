@@ -30,6 +30,18 @@ def test_opens_as_calibrated(tmp_path):
         assert np.array_equal(read.frame(camera.name, 0), make_image(index, 0))
 
 
+def test_a_pose_by_hand(tmp_path):
+    """A camera at (1, 2, 3) that looks along -z with y up sees a point before it to the upper right in the upper right."""
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 2.0, 3.0)
+    frames = transforms()["frames"]
+    frames[0]["transform_matrix"] = pose.tolist()
+    camera = open_capture(rewritten(tmp_path / "scene", frames=frames)).camera("cam00")
+    uv, depth = camera.project(np.array([1.2, 2.1, 1.0]))
+    assert depth == pytest.approx(2.0)
+    np.testing.assert_allclose(uv, [32 + 0.9 * 64 * 0.1, 24 - 0.9 * 64 * 0.05])
+
+
 def over_time(folder: Path, name: Callable[[int, int], str], timed: bool = True) -> Path:
     """A fixed rig at three instants in one file, which lists the last instant first."""
     frames = []
