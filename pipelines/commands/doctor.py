@@ -32,10 +32,13 @@ def doctor(
         for label in labels:
             views, missing = views_there(folder, label)
             counted_from, start = guessed_first(folder, label), folder.protocol().frames.start
-            checked = [doubt_numbering(one, counted_from, start) for one in examine(views, cameras_of_run(folder))]
+            answers = examine(views, cameras_of_run(folder), with_unknown=True)
+            checked = [doubt_numbering(answer, counted_from, start) for answer in answers]
             findings = [*missing, *checked, *([] if missing else find_seen_views(folder, label))]
             certain |= any(finding.verdict == "certain" for finding in findings)
-            print(label, faults_table(findings) if findings else explain_loss(views), sep="\n")
+            lines = [faults_table(findings)] if findings else []
+            is_clear = all(finding.verdict == "unknown" for finding in findings)
+            print(label, *lines, *([explain_loss(views)] if is_clear else []), sep="\n")
             if stability := steadiness_line(views):
                 print(stability)
     if certain:

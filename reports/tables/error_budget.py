@@ -1,27 +1,25 @@
-"""Error of each method alone: over views or over time; unseen, in colour, of wrong surfaces, misplaced, or in detail.
+"""Error of each method alone: over views or over time; unseen, in colour, misplaced, blur, of wrong surfaces, or noise.
 
 A method's number alone has a ceiling, published values of the same data, its training data, and the sources of its error.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache, partial, reduce
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
-from ggvs_eval.depth_store import CONFIDENCE_STEPS, DepthStore
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import mean_of_channels, read_image, round_levels
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.section import RUNS_KEPT, Report, SectionContent, tables_of_runs
 from ggvs_eval.results import split_label
-from ggvs_eval.run_folder import JOB_FILE, frame_path, missing_frames, read_json
+from ggvs_eval.run_folder import frame_path, missing_frames, read_json
 from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
 
 METRIC = "L1"
@@ -36,43 +34,45 @@ VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("time", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["time"]),
     (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
 )
-WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that separates wrong surfaces from detail
 FITTED_WIDTH = 160  # pixels of the pictures that the colour map is fitted to
 ROUNDS = 12  # of the fit, each with weights by the errors of the one before
 LEAST_ERROR_255 = 0.5  # in those weights
 SMOOTH_PX = 3.0  # blur before the fit: a gain that takes noise or texture away is no colour
-MOVED_WIDTHS = (320, 640)  # pixels of the pictures whose windows are moved: large moves, and those of a pixel or two
-MOVES = (-3, -2, -1, 0, 1, 2, 3)  # pixels of them, across and down
+LEAST_CORRELATION = 0.7  # of smooth pictures, below which no colour map is fitted: other content fits best to a grey picture
+COMPARED_WIDTH = 640  # pixels of the pictures whose windows are compared
 WINDOW = 7  # pixels of them
-MOST_LEFT = 0.5  # of a window's error, where moving it explains it
+MOST_LEFT = 0.5  # of a window's error, where a cause explains it
+COARSEST_WIDTH = 40  # pixels of the smallest pictures that motion is sought in
+MOTION_WINDOW = 11  # pixels that move together
+# Motion of neighbouring windows differs by less, standard deviation as a share of the width; other content needs any motion.
+EVEN_PX, EVEN_SHARE = 15, 1 / 320
+BLURS_PX = (0.7, 1.2, 2.0, 3.3, 5.5)
+# Other content: smooth pictures of which a window of this share of the width has less than half of its variation in common; what
+# varies by less than this many levels is alike.
+WIDE_SHARE, CONTENT_PX, LEAST_LIKENESS, LEAST_CONTRAST_255 = 0.03, 1.5, 0.5, 3.0
+GRAIN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6  # leaves white noise its variance, and nothing smooth
 BUDGET_KEY = "error_budget"  # of the table
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
 CAPTION = (
-    "Mean squared error of single frames, decomposed. Unseen: pixels that no source view covers, which methods must invent. "
-    "Colour: error that a smooth colour map of the image removes (gain, offset, linear and quadratic terms, per "
-    "channel), due to camera differences. Wrong surface: further error removed by subtracting the mean over "
-    f"{100 * WIDE_SHARE:.0f} % of the width: missing or replaced content. "
-    "Misplaced: error removed if windows of 2 % of the width move by up to 1 %, or of 1 % by .5 %, where that halves "
-    "their error: edges in the wrong place, by wrong depth, poses or motion. Detail: the rest: blur, noise, small "
-    "misplaced objects."
+    "Mean squared error of single frames, decomposed by what undoes it. Unseen: pixels that no source view covers, which methods "
+    "must invent. Colour: a tone curve per channel and a falloff to the corners, due to camera differences. Misplaced: windows "
+    "whose error smooth motion halves, of all or half of the content (double images). Blur: windows whose error a blur of the "
+    "reference halves. Wrong surface: other or missing content. Noise: white, even grain of both pictures. Unexplained: the rest."
 )
 COLUMNS = (
     Column("squared error", "grey levels² of 255", higher_is_better=False),
-    Column("unseen", "%"),
-    Column("colour", "%"),
-    Column("wrong surface", "%"),
-    Column("misplaced", "%"),
-    Column("detail", "%"),
+    *(Column(part, "%") for part in ("unseen", "colour", "misplaced", "blur", "wrong surface", "noise", "unexplained")),
 )
 NOT_TOLD = Cell("not measured", note="add PSNR_disoccluded to the protocol's metrics")
 CAUSES = {
     "unseen": "areas that no source camera sees",
-    "colour": "colour and exposure, which a smooth colour map would remove",
-    "wrong surface": "wrong surfaces: missing or replaced content",
+    "colour": "colour and exposure, which a tone curve would remove",
     "misplaced": "misplaced content, by wrong depth, poses or motion",
-    "detail": "detail: blur, noise, and small misplaced objects",
+    "blur": "blur",
+    "wrong surface": "wrong surfaces: missing or replaced content",
+    "noise": "noise, that of the captured frames included",
+    "unexplained": "unexplained",
 }
-GRADES = ("good", "fair", "poor")
 
 
 def decomposition_table(run: MeasuredRun) -> Table | None:
@@ -98,22 +98,26 @@ class ErrorBudget:
 
     Attributes:
         unseen: of pixels that no source view covers; None where these are not known, and counted with the others.
-        colour: error of the other pixels that a smooth colour map of the image removes.
-        surface: further error that removing the wide error removes.
-        misplaced: further error that moving small windows removes.
-        detail: of the other pixels, what all three would leave.
+        colour: error of the other pixels that a colour map of the image removes.
+        misplaced: further error, of windows that motion explains best.
+        blur: further error, of windows that a blur of the truth explains best.
+        surface: further error, of windows with other content than the truth.
+        noise: of what is left, white and even noise.
+        unexplained: the rest.
     """
 
     unseen: float | None
     colour: float
-    surface: float
     misplaced: float
-    detail: float
+    blur: float
+    surface: float
+    noise: float
+    unexplained: float
 
     @property
     def total(self) -> float:
         """The mean squared error."""
-        return (self.unseen or 0.0) + self.colour + self.surface + self.misplaced + self.detail
+        return sum(part or 0.0 for part in astuple(self))
 
 
 def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudget:
@@ -125,37 +129,48 @@ def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudg
         unseen: true where no source view covers the pixel, (H, W); None if that is not known.
 
     Reading:
-        Only what one smooth map explains is called colour: a body that is missing is as wide as a camera's other white balance.
-        The map is fitted by least absolute errors, so that such a body does not bend it. The wide error of a wrong surface is the
-        Gaussian mean of the difference over the seen pixels alone. Taking it off leaves less of the squared error, unless there
-        is next to nothing to take. A best move is found for any error, so that moves count only where they halve it: a texture in
-        the wrong place is explained to 90 %, blur to 3 %, noise not at all. Moves are sought in pictures of 320 and of 640
-        columns, and the size that explains more counts. It is a lower bound: of the error that depth 2 to 10 % wrong adds to
-        rooms rendered at 640x480 they explain 44 to 73 % (320 columns alone 20 to 53 %), of the error that blur adds nothing.
+        Each cause is a way to make the image from the truth, and what it does not leave of the error is its share. One colour map
+        serves the whole picture. Of motion and blur the one that leaves less of a window's error counts, if it leaves half at
+        most: any error has a best move, but of noise or other content it leaves more, or its neighbours move elsewhere. Half
+        the content in another place, as where two views are blended, is motion too. Noise is only what is everywhere in what is
+        left.
     """
     coverage = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
-    squared = np.square(image.astype(np.float32) - truth).mean(axis=2, dtype=np.float64)
-    hidden = None if unseen is None else float((squared * unseen).mean())
-    shown = float((squared * coverage).mean())
-    mapped = smooth_colour_map(image, truth, coverage)
-    recoloured = float((np.square(mapped - truth).mean(axis=2, dtype=np.float64) * coverage).mean())
-    if recoloured >= shown:
-        mapped, recoloured = image.astype(np.float32), shown
-    difference = mapped - truth
-    sigma = WIDE_SHARE * truth.shape[1]
-    blurred = (
-        cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-        for values in (difference * coverage[..., None], coverage)
+    squared = _squared(image.astype(np.float32), truth)
+    hidden = None if unseen is None else float((squared * unseen).mean(dtype=np.float64))
+    before = squared * coverage
+    mapped = colour_map(image, truth, coverage)
+    after = _squared(mapped, truth) * coverage
+    if after.mean() >= before.mean():
+        mapped, after = image.astype(np.float32), before
+    shares = explained_shares(mapped, truth, coverage)
+    misplaced, blur, surface = (float((after * share).mean(dtype=np.float64)) for share in shares)
+    left = after * (1 - sum(shares))
+    grain = cv2.filter2D(mapped - truth, -1, GRAIN)[coverage > 0]
+    noise_variance = float(np.square(1.4826 * np.median(np.abs(grain)))) if len(grain) else 0.0
+    shown, recoloured, rest = (float(error.mean(dtype=np.float64)) for error in (before, after, left))
+    noise = min(float(np.minimum(_windows(left), noise_variance).mean(dtype=np.float64)), rest)
+    return ErrorBudget(
+        unseen=hidden,
+        colour=shown - recoloured,
+        misplaced=misplaced,
+        blur=blur,
+        surface=surface,
+        noise=noise,
+        unexplained=recoloured - misplaced - blur - surface - noise,
     )
-    mean = next(blurred) / np.maximum(next(blurred), np.float32(1e-6))[..., None]
-    fine = float((np.square(difference - mean).mean(axis=2, dtype=np.float64) * coverage).mean())
-    widths = {min(width, truth.shape[1]) for width in MOVED_WIDTHS}
-    misplaced = min(max(_misplaced(mapped - mean, truth, coverage, width) for width in widths), fine)
-    return ErrorBudget(hidden, shown - recoloured, recoloured - fine, misplaced, fine - misplaced)
 
 
-def smooth_colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
-    """Map an image to the colours of another by a gain, an offset and a quadratic over the picture in each channel.
+def _squared(image: Array32, truth: Image8 | Array32) -> Map:
+    return np.asarray(cv2.transform(np.square(image - truth), np.full((1, 3), 1 / 3)), np.float32)  # the mean, fast
+
+
+def _windows(values: Map, size_px: int = WINDOW) -> Map:
+    return np.asarray(cv2.boxFilter(values, -1, (size_px, size_px), borderType=cv2.BORDER_REFLECT), np.float32)
+
+
+def colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
+    """Map an image to the colours of another by a quadratic tone curve and a falloff to the corners in each channel.
 
     Args:
         image: (H, W, 3).
@@ -163,63 +178,98 @@ def smooth_colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
         coverage: weight of each pixel in the fit, (H, W).
 
     Returns:
-        (H, W, 3), grey levels; the map of least absolute errors, which a wrong part of the picture does not bend.
+        (H, W, 3), grey levels; the map of least absolute errors, which a wrong part of the picture does not bend; the image
+        itself where the pictures have little in common.
     """
-    scale = min(1.0, FITTED_WIDTH / truth.shape[1])
-    size = (max(1, round(scale * truth.shape[1])), max(1, round(scale * truth.shape[0])))
     small, target, weight = (
-        cv2.GaussianBlur(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA), (0, 0), SMOOTH_PX)
-        for values in (image, truth, coverage)
+        cv2.GaussianBlur(_resized(values, FITTED_WIDTH), (0, 0), SMOOTH_PX) for values in (image, truth, coverage)
     )
-    places, whole = _quadratics(size), _quadratics(truth.shape[1::-1])
     mapped = image.astype(np.float32)
+    covariance = np.cov(small.mean(axis=2).ravel(), target.mean(axis=2).ravel())
+    if covariance[0, 1] < LEAST_CORRELATION * np.sqrt(covariance[0, 0] * covariance[1, 1]):
+        return mapped
     for channel in range(truth.shape[2]):
-        levels = small[..., channel].ravel().astype(np.float64)
-        design = np.concatenate([levels[:, None] - levels.mean(), places], axis=1)
+        levels, design = small[..., channel].ravel().astype(np.float64), _tones(small[..., channel])
         values, weights = target[..., channel].ravel() - levels, weight.ravel().astype(np.float64)
         change = np.zeros(design.shape[1])
         for _ in range(ROUNDS):
             weighted = design.T * (weights / np.maximum(np.abs(design @ change - values), LEAST_ERROR_255))
             change = np.linalg.lstsq(weighted @ design, weighted @ values, rcond=1e-6)[0]
-        field = (whole @ change[1:]).reshape(truth.shape[:2])
-        mapped[..., channel] += (change[0] * (mapped[..., channel] - levels.mean()) + field).astype(np.float32)
+        mapped[..., channel] += (_tones(image[..., channel]) @ change).reshape(truth.shape[:2]).astype(np.float32)
     return mapped
 
 
-@lru_cache(maxsize=4)
-def _quadratics(size: tuple[int, int]) -> Array:
-    """Monomials up to the second degree at each pixel of a picture of (W, H), (W H, 6), places from -1 to 1."""
-    x, y = np.meshgrid(*(np.linspace(-1, 1, count) for count in size))
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+def _tones(levels: Array32 | Image8) -> Array:
+    """Return what the colour map of a channel is a sum of: 1, level, its square, and level by squared radius, (H W, 4)."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, count) for count in levels.shape), indexing="ij")
+    centred = levels / 127.5 - 1.0
+    return np.stack([np.ones_like(x), centred, centred**2, levels / 255 * (x * x + y * y)], axis=-1).reshape(-1, 4)
 
 
-def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> float:
-    """Return the mean squared error that goes where windows of an image move, and the move halves the window's error.
+def _resized(values: Array32 | Image8 | Map, widest: int) -> Array32:
+    """Return a picture of so many columns at most."""
+    height, width = values.shape[:2]
+    columns = min(width, widest)
+    size = columns, max(1, round(columns / width * height))
+    return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def explained_shares(image: Array32, truth: Image8, coverage: Map) -> tuple[Map, Map, Map]:
+    """Return the shares of each pixel's squared error that motion, blur and other content explain, (H, W) each.
 
     Args:
-        image: without its wide error, (H, W, 3).
+        image: (H, W, 3), grey levels.
         coverage: 1 if a source sees the pixel, (H, W).
-        width: columns of the pictures that it is sought in.
     """
-    size = width, max(1, round(width / truth.shape[1] * truth.shape[0]))
-    image, reference, counted = (
-        cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA) for values in (image, truth, coverage)
+    rendered, wanted, counted = (_resized(values, COMPARED_WIDTH) for values in (image, truth, coverage))
+    error = _windows(_squared(rendered, wanted) * counted)
+    whole, half = (_left_when_moved(moved, wanted, counted) for moved in (rendered, 2 * rendered - wanted))
+    moved = np.minimum(whole, half / 4)
+    blurs = (cv2.GaussianBlur(wanted, (0, 0), sigma_px) for sigma_px in BLURS_PX)
+    best = reduce(np.minimum, (_windows(_squared(rendered, blur) * counted) for blur in blurs), moved)
+    is_explained = best < MOST_LEFT * error
+    share = np.where(is_explained, 1 - best / np.maximum(error, 1e-6), 0).astype(np.float32)
+    is_other = _likeness(rendered, wanted, counted) < LEAST_LIKENESS
+    misplaced, blurred, other = (
+        cv2.resize(np.where(mask, values, np.float32(0)), image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        for mask, values in ((moved == best, share), (moved > best, share), (is_other & ~is_explained, np.float32(1)))
     )
-    counted /= 3  # channels
-    reach = max(MOVES)
-    wider = cv2.copyMakeBorder(image, reach, reach, reach, reach, cv2.BORDER_REFLECT)
-    planes, wanted = (np.ascontiguousarray(np.moveaxis(values, 2, 0)) for values in (wider, reference))  # (3, H, W), summed fast
-    apart = np.empty_like(wanted)  # kept, as to clear new memory takes longer than the sums
+    return misplaced, blurred, other
 
-    def left_after(across: int, down: int) -> Map:
-        moved = planes[:, reach + down : reach + down + size[1], reach + across : reach + across + size[0]]
-        np.square(np.subtract(moved, wanted, out=apart), out=apart)
-        error = apart.sum(axis=0) * counted
-        return np.asarray(cv2.boxFilter(error, -1, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT), np.float32)
 
-    here = left_after(0, 0)
-    best = reduce(np.minimum, (left_after(across, down) for across in MOVES for down in MOVES))
-    return float(np.where(best < MOST_LEFT * here, here - best, 0.0).mean())
+def _left_when_moved(image: Array32, truth: Array32, coverage: Map) -> Map:
+    """Return the squared error that smooth motion leaves in windows of a picture, (H, W)."""
+    wanted, grey = (round_levels(mean_of_channels(picture)) for picture in (truth, image))
+    width = coverage.shape[1]
+    levels = 1 + max(int(np.log2(width / COARSEST_WIDTH)), 0)
+    motion = cv2.calcOpticalFlowFarneback(wanted, grey, None, 0.5, levels, MOTION_WINDOW, 3, 5, 1.1, 0)  # (H, W, 2), pixels
+    rows, columns = np.indices(coverage.shape, dtype=np.float32)
+    places = columns + motion[..., 0], rows + motion[..., 1]
+    moved = cv2.remap(image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    before, after = (_windows(_squared(picture, truth) * coverage) for picture in (image, moved))
+    weight = before[..., None] + 1e-3
+    total = _windows(weight, EVEN_PX)[..., None]
+    mean, square = (_windows(weight * values, EVEN_PX) / total for values in (motion, motion**2))
+    is_even = (square - mean**2).sum(axis=2) < (EVEN_SHARE * width) ** 2
+    return np.where(is_even, after, before)
+
+
+def _likeness(image: Array32, truth: Array32, coverage: Map) -> Map:
+    """Return the share of their variation that wide windows of two pictures have in common, as SSIM does, (H, W)."""
+    first, second, weight = (_resized(values, FITTED_WIDTH) for values in (image, truth, coverage))
+    sigma_px = WIDE_SHARE * weight.shape[1]
+
+    def mean(values: Array32) -> Array32:
+        sums = cv2.GaussianBlur(values * weight[..., None], (0, 0), sigma_px)
+        return np.asarray(sums / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma_px), 1e-6)[..., None], np.float32)
+
+    first, second = (cv2.GaussianBlur(values, (0, 0), CONTENT_PX) for values in (first, second))
+    apart = _squared(mean(first), mean(second))
+    variances = mean((first - mean(first)) ** 2 + (second - mean(second)) ** 2).mean(axis=2)
+    different = mean((first - second) ** 2).mean(axis=2)
+    alike = 2 * LEAST_CONTRAST_255**2
+    likeness = (variances + apart - different + alike) / (variances + apart + alike)
+    return cv2.resize(likeness, coverage.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 @lru_cache(maxsize=RUNS_KEPT)
@@ -253,27 +303,13 @@ def _share_cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
     total = float(np.mean([each.total for each in budgets]))
     told = [each.unseen for each in budgets if each.unseen is not None]
     unseen = _share(float(np.mean(told)), total) if len(told) == len(budgets) else NOT_TOLD
-    parts = (float(np.mean([getattr(each, part) for each in budgets])) for part in ("colour", "surface", "misplaced", "detail"))
-    return Cell(f"{total:.1f}", total), unseen, *(_share(part, total) for part in parts)
+    parts = np.mean([astuple(budget)[1:] for budget in budgets], axis=0)
+    return Cell(f"{total:.1f}", total), unseen, *(_share(float(part), total) for part in parts)
 
 
 def _share(part: float, total: float) -> Cell:
     percent = 100 * part / total if total else 0.0
     return Cell(f"{percent:.1f}", percent)
-
-
-class Condition(NamedTuple):
-    """One thing that limits every method: its value, the values from which it is fair and poor, and the words for it."""
-
-    value: float
-    fair: float
-    poor: float
-    words: str
-
-    @property
-    def grade(self) -> int:
-        """Place in `GRADES`."""
-        return int(self.value > self.fair) + int(self.value > self.poor)
 
 
 def describe_absolute(
@@ -300,53 +336,18 @@ def describe_absolute(
         low, high = (end(published, key=lambda one: one.value or 0.0).shown for end in (min, max))
         beside.append(f"published methods reach {low}{f' to {high}' if high != low else ''}{unit} on this data set")
     sentences = [f"{name} has {cell.shown}{unit}; {', and '.join(beside)}."] if beside else []
-    conditions = next(filter(None, map(describe_conditions, runs)), "")
-    return " ".join(filter(None, [*sentences, conditions, largest_cause(name, budgets)]))
+    calibration = next(filter(None, map(describe_calibration, runs)), "")
+    return " ".join(filter(None, [*sentences, calibration, largest_cause(name, budgets)]))
 
 
-def describe_conditions(run: MeasuredRun) -> str:
-    """Grade the depth and cameras of a run, with reasons; empty if unmeasured."""
-    known = _conditions(run)
-    if not known:
-        return ""
-    worst = max(one.grade for one in known)
-    reasons = [one.words for one in known if one.grade == worst]
-    return f"Depth and cameras are {GRADES[worst]}: {'; '.join(reasons)}."
-
-
-def _conditions(run: MeasuredRun) -> list[Condition]:
-    """Agreement of depth between cameras, calibration residual and coverage, as far as the run has them."""
-    found = []
-    if agreeing := _agreeing_shares(run):
-        apart = 1.0 - float(np.mean(agreeing))
-        found.append(
-            Condition(apart, 0.1, 0.25, f"{100 * apart:.0f} % of the pixels have no depth that the other cameras confirm")
-        )
+def describe_calibration(run: MeasuredRun) -> str:
+    """State what a run's cameras were calibrated from, which limits every method; empty if that is unknown."""
     file = run.folder.capture_path() / "calibration.json" if "path" in run.capture else None
     calibration = read_json(file) if file and file.is_file() else {}
     if points := calibration.get("n_points"):
-        off_px = calibration["mean_reprojection_error_px"]
-        found.append(Condition(off_px, 0.8, 1.5, f"the calibration leaves {off_px:.2f} px"))
-        found.append(Condition(-points, -1000, -300, f"the cameras were calibrated from {points} points"))
-    first = run.frames[:1]
-    folders = [run.folder.disoccluded(view) for view in run.protocol.views.test]
-    masks = [read_image(frame_path(folder, first[0])) > 0 for folder in folders if not missing_frames(folder, first)]
-    if masks:
-        unseen = float(np.mean([mask.mean() for mask in masks]))
-        found.append(Condition(unseen, 0.05, 0.15, f"{100 * unseen:.0f} % of the test views are seen by no source camera"))
-    return found
-
-
-def _agreeing_shares(run: MeasuredRun) -> list[float]:
-    """Share of pixels of each stored depth map of the first instant that was checked against other cameras and has held."""
-    shares, store = [], DepthStore(run.folder.depth)
-    for record in map(read_json, sorted(run.folder.depth.glob(f"*/{JOB_FILE}"))):
-        spec, key = record["identity"], record["sha256"]
-        if "check" in spec and store.has(key, run.frames[0]):
-            confidence = store.read(key, run.frames[0]).confidence
-            filled = spec["options"].get("filled_confidence", 0.0) + 0.5 / CONFIDENCE_STEPS  # which is stored in 8 bit
-            shares.append(float((confidence > filled).mean()))
-    return shares
+        left_px = calibration["mean_reprojection_error_px"]
+        return f"The cameras were calibrated from {points} points, which leaves {left_px:.2f} px."
+    return ""
 
 
 def largest_cause(name: str, budgets: Sequence[Table]) -> str:

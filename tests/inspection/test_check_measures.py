@@ -25,7 +25,7 @@ from ggvs_eval.geometry.epipolar import (
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, check_scale
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing, seen_share
-from ggvs_eval.pipelines.inspection.capture.epipolar_findings import explain_camera, explain_rig
+from ggvs_eval.pipelines.inspection.capture.epipolar_findings import check_epipolar, explain_camera, explain_rig
 from ggvs_eval.pipelines.inspection.capture.frames import check_frames, common_repeats, frozen_frames
 from ggvs_eval.pipelines.inspection.capture.pairs import (
     largest_group,
@@ -50,6 +50,7 @@ from ggvs_eval.pipelines.inspection.capture.records import (
 )
 from ggvs_eval.pipelines.inspection.capture.timing import best_lag, plane_angles
 from helpers.captures import make_image, make_rig, write_dynerf, write_folders, write_poses
+from helpers.small_rig import make_cameras
 
 TARGET = np.array([0.5, -0.25, 6.0])
 
@@ -533,3 +534,24 @@ def test_black_frames_are_named(tmp_path):
     assert [record.black for record in records] == [(0,) if each == name else () for each in capture.camera_names]
     assert (findings[name].verdict, findings[name].measured) == ("warn", "frame 0 all zero")
     assert findings[capture.camera_names[0]].verdict == "ok"
+
+
+@pytest.mark.slow
+def test_few_scattered_matches_accuse_no_camera():
+    """Clean small views whose features scatter by .8 px: no camera of 10 rigs is warned of; one turned by 3 px is."""
+    cameras = [camera.resized(80, 60) for camera in make_cameras()]
+    turn = np.eye(4)
+    turn[1:3, 1:3] = [[np.cos(0.06), -np.sin(0.06)], [np.sin(0.06), np.cos(0.06)]]
+    turned = [*cameras[:2], replace(cameras[2], world_to_camera=turn @ cameras[2].world_to_camera), *cameras[3:]]
+
+    def warned_of(rig: list[Camera], seed: int, scatter_px: float) -> set[str]:
+        rng, pairs = np.random.default_rng(seed), []
+        for first, second in neighbour_pairs(cameras):
+            points = rng.uniform((-3, -2, 5), (3, 2, 10), (25, 3))
+            uv = [cameras[index].project(points)[0] + rng.normal(0, scatter_px, (25, 2)) for index in (first, second)]
+            pairs.append(MatchedPair(first, second, *uv, *np.full((2, 25, 3), 100, np.float32)))
+        findings = check_epipolar(rig, [None] * len(rig), pairs).findings
+        return {finding.subject for finding in findings if finding.verdict in ("warn", "bad")}
+
+    assert set().union(*(warned_of(cameras, seed, 0.8) for seed in range(10))) == set()
+    assert warned_of(turned, 0, 0.5) == {"cam02"}

@@ -10,6 +10,7 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize, round_levels
 from ggvs_eval.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks, doubt_numbering
@@ -187,6 +188,25 @@ def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
 
     assert (finding.question, finding.verdict) == ("truth copied in", "certain")
     assert finding.values["share"] == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.parametrize("width", [48, 64, 96, pytest.param(120, marks=pytest.mark.slow)])
+def test_a_small_picture_accuses_nobody(width, filmed, honest):
+    """Scaled down, honest renders lose the errors that tell them from copies: unknown, no copy and no other instant."""
+    height, small = round(width * SIZE[1] / SIZE[0]), {}
+    for kind, frames in {"captured": filmed[VIEW], "warped": honest["warped"][VIEW], "nearly": filmed[OTHER]}.items():
+        small[kind] = np.stack([resize(frame, width, height, "area") for frame in frames])
+    noise = np.random.default_rng(8).normal(0, 0.4, small["captured"].shape)
+    captured = round_levels(small["captured"] + noise)
+    rows, columns = np.mgrid[:height, :width].astype(np.float32)
+    for index, frame in enumerate(small["captured"]):
+        across, down = columns + 0.15 * np.sin(rows / 4 + index), rows + 0.15 * np.cos(columns / 5 + index)
+        small["nearly"][index] = cv2.remap(frame, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR)
+    for kind in ("warped", "nearly"):
+        view = view_of(small[kind], captured)
+        assert QuickChecks(VIEW, view.truth, view.truth_range).check(view.rendered, view.frames) == []
+    if width < 64:
+        assert [finding.verdict for finding in find_copied(VIEW, view)] == ["unknown"]
 
 
 @pytest.mark.slow

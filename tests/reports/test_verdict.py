@@ -9,16 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ggvs_eval.depth_store import DepthMap, DepthStore
-from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Cell, Row, Table
-from ggvs_eval.reports.tables.error_budget import budget_table, describe_absolute, describe_conditions, largest_cause
+from ggvs_eval.reports.tables.error_budget import budget_table, describe_absolute, describe_calibration, largest_cause
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.results import without_labels
-from ggvs_eval.run_folder import frame_path, read_json, write_json
+from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import compare
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -108,29 +106,15 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
     assert "published methods reach 29.5 to 31.0 dB on this data set" in absolute
 
 
-@pytest.mark.parametrize(
-    ("agreeing", "points", "off_px", "unseen", "words"),
-    [
-        (0.95, 5000, 0.4, 0, "Depth and cameras are good: 5 % of the pixels"),
-        (0.95, 5000, 0.9, 0, "Depth and cameras are fair: the calibration leaves 0.90 px."),
-        (0.95, 212, 0.4, 0, "Depth and cameras are poor: the cameras were calibrated from 212 points."),
-        (0.69, 5000, 0.4, 0, "Depth and cameras are poor: 31 % of the pixels have no depth that the other cameras confirm."),
-        (0.95, 5000, 0.4, 255, "Depth and cameras are poor: 100 % of the test views are seen by no source camera."),
-    ],
-)
-def test_a_word_for_what_pictures_were_made_from_has_its_reason(tmp_path, agreeing, points, off_px, unseen, words):
-    """Good, fair or poor by the agreement of depth, the calibration and coverage, whichever is worst; without these no word."""
+def test_what_cameras_were_calibrated_from_is_stated(tmp_path):
+    """Points and residual of the capture's calibration, as measured; without it no word."""
     run = read_run(write_run(tmp_path / "run", replace(SHAPE, frames=Frames(0, 4))))
-    assert describe_conditions(run) == ""
-    store, spec = DepthStore(run.folder.depth), {"check": {}, "options": {"filled_confidence": 0.02}}
-    confidence = np.where(np.arange(10000).reshape(100, 100) < 10000 * agreeing, 0.8, 0.02).astype(np.float32)
-    store.write(store.write_spec(spec), 0, DepthMap(np.ones((100, 100), np.float32), confidence, None))
+    assert describe_calibration(run) == ""
     capture = tmp_path / "capture"
-    write_json(capture / "calibration.json", {"n_points": points, "mean_reprojection_error_px": off_px})
+    write_json(capture / "calibration.json", {"n_points": 212, "mean_reprojection_error_px": 0.9})
     write_json(run.folder.root / "capture.json", run.capture | {"path": str(capture)})
-    for view in run.protocol.views.test:
-        write_image(frame_path(run.folder.disoccluded(view), 0), np.full((16, 16, 3), unseen, np.uint8))
-    assert describe_conditions(run).startswith(words)
+    words = "The cameras were calibrated from 212 points, which leaves 0.90 px."
+    assert describe_calibration(run) == words
     assert words in absolute_of(run, main_tables([run], run.results), [])
 
 

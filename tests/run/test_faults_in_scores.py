@@ -149,7 +149,8 @@ def test_honest_renders_of_few_frames_hold_no_copy(run, count):
     """Without a frame two instants away nothing is said of noise: what stands still would pass for that of the truth."""
     frames = range(2, 2 + count)
     for name, view in views_of_run(run, "mine").items():
-        assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
+        findings = find_copied(name, replace(view, frames=frames, truth_frames=frames))
+        assert {finding.verdict for finding in findings} <= {"unknown"}
 
 
 @pytest.mark.slow

@@ -162,11 +162,8 @@ def _evaluate_gain(name: str, factors: Array, half_widths: Array, certain: Array
     verdict = graded(float(np.abs(certain - 1).max()), WARN_GAIN, BAD_GAIN)
     measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, factors, strict=True))
     measured += f" (+- {100 * float(half_widths.max()):.1f} %)"
-    values = {
-        "gain": [round(float(value), 4) for value in certain],
-        "measured_gain": [round(float(value), 4) for value in factors],
-    }
-    values["half_width"] = [round(float(value), 4) for value in half_widths]
+    parts = {"gain": certain, "measured_gain": factors, "half_width": half_widths}
+    values = {name: part.round(4).tolist() for name, part in parts.items()}
     advice = "" if verdict == "ok" else "'check --repair' divides its frames by these gains; or use a colour-corrected metric"
     return Finding(name, GAIN, verdict, measured, values, advice)
 

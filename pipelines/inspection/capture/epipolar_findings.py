@@ -15,6 +15,7 @@ from ggvs_eval.finding import RIG, SEVERITY, Finding, Verdict, graded
 from ggvs_eval.geometry.epipolar import Features, MatchedPair, neighbour_pairs, tolerances
 from ggvs_eval.pipelines.inspection.capture.pairs import (
     FRONT_SHARE,
+    SIGMAS,
     PairError,
     accused,
     camera_error,
@@ -169,13 +170,9 @@ POSE_CHANGES: dict[str, Change] = {
     "a pose turned by 180 degrees about its x axis (OpenGL axes used as OpenCV's?)": _turned(1.0, -1.0, -1.0),
     "a pose turned by 180 degrees about its y axis": _turned(-1.0, 1.0, -1.0),
     "a pose turned by 180 degrees about its z axis (picture upside down?)": _turned(-1.0, -1.0, 1.0),
-    "a centre mirrored in x": _reflected_centre(-1.0, 1.0, 1.0),
-    "a centre mirrored in y": _reflected_centre(1.0, -1.0, 1.0),
-    "a centre mirrored in z": _reflected_centre(1.0, 1.0, -1.0),
+    **{f"a centre mirrored in {word}": _reflected_centre(*signs) for word, signs in zip("xyz", 1 - 2 * np.eye(3), strict=True)},
     "a centre mirrored in the origin (sign of the translation?)": _reflected_centre(-1.0, -1.0, -1.0),
-    "a pose mirrored in x": _reflected_world(0),
-    "a pose mirrored in y": _reflected_world(1),
-    "a pose mirrored in z": _reflected_world(2),
+    **{f"a pose mirrored in {word}": _reflected_world(axis) for axis, word in enumerate("xyz")},
     **{
         f"a pose mirrored in {word}, its own {own} axis too (left-handed axes used as right-handed?)": _reflected_world(
             axis, place
@@ -273,7 +270,7 @@ def check_epipolar(
     matched = {index for pair in pairs for index in (pair.first, pair.second)}
     trusted = [index for index in sorted(matched) if index not in suspects]
     shared = explain_rig(cameras, pairs)
-    over = [index for index in matched if camera_error(cameras, pairs, index) > tolerances(cameras[index])[0]]
+    over = [index for index in matched if camera_error(cameras, pairs, index, SIGMAS) > tolerances(cameras[index])[0]]
     if shared or len(trusted) < max(2, len(matched) / 2) or len(over) > len(matched) / 2:
         return replace(_doubtful_rig(cameras, pairs, errors, shared), pairs=all_pairs)
     # Suspects are compared with trusted cameras all over the rig: of two exchanged ones each sees what the other's neighbours do.
@@ -309,7 +306,7 @@ def _evaluate(
         "n_matches": sum(len(pair.uv_first) for pair in own),
     }
     shown = f"{error_px:.2f} px" if np.isfinite(error_px) else "matches are behind the camera"
-    repair, verdict = repairs.get(index), graded(error_px, *tolerances(cameras[index]))
+    repair, verdict = repairs.get(index), graded(camera_error(cameras, own, index, SIGMAS), *tolerances(cameras[index]))
     if index not in repairs:
         return Finding(name, QUESTION, verdict, shown, values, "" if verdict == "ok" else RECALIBRATE)
     measured = f"{shown} with {len(own)} cameras that agree among themselves"
@@ -354,7 +351,8 @@ def _doubtful_rig(
         rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare pictures and poses manually")
         return CalibrationVerdict((rig, *unknown), tuple(pairs), (), ())
     each = [camera_error(cameras, pairs, index) for index in range(len(cameras))]
-    verdicts = [graded(error, *tolerances(camera)) for error, camera in zip(each, cameras, strict=True)]
+    certain = [camera_error(cameras, pairs, index, SIGMAS) for index in range(len(cameras))]
+    verdicts = [graded(error, *tolerances(camera)) for error, camera in zip(certain, cameras, strict=True)]
     # Half of the pairs of a rig hardly notice a common focal length, so their medians understate it.
     is_gross = repair is not None and (repair.focal_factor is None or abs(repair.focal_factor - 1) > GROSS_FOCAL)
     verdict: Verdict = "bad" if is_gross or "bad" in verdicts else "warn"

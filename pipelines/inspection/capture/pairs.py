@@ -25,6 +25,8 @@ SMALLEST_RESIDUAL = 1e-3
 LEAST_BASELINE = 0.005
 # The same scene is in front of all cameras; matches behind one mean that its pose is turned away.
 FRONT_SHARE = 0.5
+# A pair is wrong if its median error exceeds the tolerance by so many standard errors.
+SIGMAS = 2.0
 
 
 def match_pairs(
@@ -122,7 +124,7 @@ class PairError:
     """Epipolar error of one pair of cameras over its matches.
 
     Attributes:
-        percentile90_px: 90th percentile of it.
+        error_px: standard error of the median; small pictures have few matches.
         front_share: share of the matches that are in front of both cameras.
     """
 
@@ -130,7 +132,7 @@ class PairError:
     second: int
     n_matches: int
     median_px: float
-    percentile90_px: float
+    error_px: float
     front_share: float
 
 
@@ -144,19 +146,20 @@ def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
     """Measure one pair under the given calibration."""
     one, other = cameras[pair.first], cameras[pair.second]
     if np.linalg.norm(one.centre - other.centre) < 1e-9:
-        return PairError(pair.first, pair.second, len(pair.uv_first), float("inf"), float("inf"), 0.0)
+        return PairError(pair.first, pair.second, len(pair.uv_first), float("inf"), 0.0, 0.0)
     errors = epipolar_errors(one, other, pair.uv_first, pair.uv_second)
     depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
     telling = angle_rad > SMALLEST_ANGLE_RAD
     front = float(((depth_one > 0) & (depth_other > 0))[telling].mean()) if telling.any() else 1.0
-    median, percentile90 = np.percentile(errors, [50, 90])
-    return PairError(pair.first, pair.second, len(errors), float(median), float(percentile90), front)
+    median = float(np.median(errors))
+    error = 1.2533 * 1.4826 * float(np.median(np.abs(errors - median))) / np.sqrt(len(errors))
+    return PairError(pair.first, pair.second, len(errors), median, error, front)
 
 
 def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
     """Return whether a pair contradicts the calibration."""
     tolerance_px = max(tolerances(cameras[index])[0] for index in (error.first, error.second))
-    return error.median_px > tolerance_px or error.front_share < FRONT_SHARE
+    return error.median_px - SIGMAS * error.error_px > tolerance_px or error.front_share < FRONT_SHARE
 
 
 def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]:
@@ -181,13 +184,17 @@ def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]
     return suspects
 
 
-def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int) -> float:
-    """Return the error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs."""
+def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, sigmas: float = 0.0) -> float:
+    """Return the error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs.
+
+    Args:
+        sigmas: standard errors that each median is reduced by: what is certainly wrong.
+    """
     medians = []
     for pair in pairs:
         if index in (pair.first, pair.second):
             error = pair_error(cameras, pair)
-            medians.append(error.median_px if error.front_share >= FRONT_SHARE else float("inf"))
+            medians.append(error.median_px - sigmas * error.error_px if error.front_share >= FRONT_SHARE else float("inf"))
     return float(np.median(medians)) if medians else float("nan")
 
 

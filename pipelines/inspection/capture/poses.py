@@ -49,7 +49,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
         _evaluate_pose(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
         for index, camera in enumerate(cameras)
     ]
-    values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
+    values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else target.round(4).tolist()}
     gaze = (
         "face the same direction"
         if target is None
@@ -130,33 +130,26 @@ def half_view_rad(camera: Camera) -> float:
 def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
     slant = max(camera.deviation, float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()))
     values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
+    away, roll = f"{np.degrees(away_rad):.0f} deg", f"{np.degrees(roll_rad):.0f} deg"
+    verdict: Verdict = "warn"
     if doubles:
+        verdict, measured = "bad", f"same place as {', '.join(doubles)}"
         advice = "one pose was written twice; restore this camera's own or drop it"
-        return Finding(camera.name, POSES_QUESTION, "bad", f"same place as {', '.join(doubles)}", values, advice)
-    if away_rad > TURNED_AWAY_RAD:
-        measured = f"looks away from the others' scene, by {np.degrees(away_rad):.0f} deg"
-        return Finding(
-            camera.name, POSES_QUESTION, "bad", measured, values, "mirrored or inverted pose? check axes and handedness"
-        )
-    if roll_rad > UPSIDE_DOWN_RAD:
-        measured = f"upside down against the others, by {np.degrees(roll_rad):.0f} deg"
-        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "mounted upside down? else its y axis is inverted")
-    if away_rad > half_view_rad(camera):
-        measured = f"the others' common point is outside its picture, {np.degrees(away_rad):.0f} deg off its axis"
-        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that it films the same scene")
-    if roll_rad > ROLLED_RAD:
-        measured = f"rolled by {np.degrees(roll_rad):.0f} deg against the others"
-        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
-    if slant > SLANTED:
-        return Finding(
-            camera.name,
-            POSES_QUESTION,
-            "warn",
-            f"rotation off by {slant:.1e}, the nearest one is used",
-            values,
-            "store poses with more digits",
-        )
-    return Finding(camera.name, POSES_QUESTION, "ok", f"{np.degrees(away_rad):.0f} deg off the common point", values)
+    elif away_rad > TURNED_AWAY_RAD:
+        verdict, measured = "bad", f"looks away from the others' scene, by {away}"
+        advice = "mirrored or inverted pose? check axes and handedness"
+    elif roll_rad > UPSIDE_DOWN_RAD:
+        measured, advice = f"upside down against the others, by {roll}", "mounted upside down? else its y axis is inverted"
+    elif away_rad > half_view_rad(camera):
+        measured = f"the others' common point is outside its picture, {away} off its axis"
+        advice = "check that it films the same scene"
+    elif roll_rad > ROLLED_RAD:
+        measured, advice = f"rolled by {roll} against the others", "check that its frames are turned like its pose"
+    elif slant > SLANTED:
+        measured, advice = f"rotation off by {slant:.1e}, the nearest one is used", "store poses with more digits"
+    else:
+        verdict, measured, advice = "ok", f"{away} off the common point", ""
+    return Finding(camera.name, POSES_QUESTION, verdict, measured, values, advice)
 
 
 def _median_direction(directions: Array) -> Array:

@@ -30,9 +30,14 @@ NOISE_INSTANTS = 48
 # of a single frame. Below NO_COPY nothing was copied.
 LEAST_SHARE, CERTAIN_SHARE, LEAST_DEVIATIONS, NO_COPY = 0.05, 0.07, 10.0, 0.2
 FRAME_SHARE, FRAME_DEVIATIONS = 0.3, 8.0
+# White share of the noise of a coded static scene, as codecs repeat a frame's noise in the next one: 0.7 at crf 12.
+WHITE_SHARE, NOISE_DEVIATIONS = 0.65, 2.0
 # Without noise to compare (codecs take it out): a rendering fails somewhere, a copy nowhere. Correlation of fine detail in the
 # worst twentieth of the textured patches: 0.5 for a rendering of 24 dB, 0.82 for ghosted truth, 0.98 for JPEG of quality 80.
 WORST_SHARE, SUSPICIOUS_CORRELATION, USUAL_CORRELATION = 0.05, 0.97, 0.9
+# Errors of depth and poses grow with the picture, patches do not: in the worst patches of five rooms no rendering fitted better
+# than the truth displaced by 1/640 of the width does. A third of its misfit is no rendering's.
+DISPLACED_WIDTHS, SUSPICIOUS_MISFIT = 1 / 640, 1 / 3
 # Frames that are looked at together.
 WINDOW = 8
 TEXTURE_255, FEWEST_PATCHES = 3.0, 20
@@ -45,15 +50,28 @@ class TruthShare:
     Attributes:
         share: 1 for a copy, the weight of the truth in a blend, 0 for a rendering.
         error: standard error of `share`; infinite where the truth has no noise.
+        motion: share that a perfect rendering can have, as changes of the scene pass for noise, 0 to 1; small pictures of
+            moving scenes have much of it.
     """
 
     share: float
     error: float
+    motion: float
+
+    @property
+    def excess(self) -> float:
+        """Share that no rendering can have."""
+        return self.share - self.motion
 
     @property
     def deviations(self) -> float:
-        """The share in its standard errors."""
-        return self.share / max(self.error, 1e-9)
+        """The excess in its standard errors."""
+        return self.excess / max(self.error, 1e-9)
+
+    @property
+    def reveals_copies(self) -> bool:
+        """Return whether a copy would be noticed."""
+        return 1 - self.motion > LEAST_DEVIATIONS * self.error
 
     @property
     def most(self) -> float:
@@ -61,26 +79,55 @@ class TruthShare:
         return self.share + 5 * self.error
 
 
+@dataclass(frozen=True)
+class Fit:
+    """Fit of a rendered frame where it is worst.
+
+    Attributes:
+        correlation: of fine detail in the worst of the textured patches.
+        displaced_misfit: 1 - correlation of the truth that is displaced by what any rendering errs by.
+    """
+
+    correlation: float
+    displaced_misfit: float
+
+    @property
+    def reveals_copies(self) -> bool:
+        """Return whether a rendering would fit worse than a copy."""
+        return SUSPICIOUS_MISFIT * self.displaced_misfit > 1 - SUSPICIOUS_CORRELATION
+
+
 @dataclass(frozen=True, eq=False)
 class NoiseSums:
-    """Products with the truth's noise, summed over each cell of an instant, (cells,)."""
+    """Products with the truth's noise, summed over each cell of an instant, (cells,).
+
+    Attributes:
+        captured: of the captured frame; its noise, and what changes of the scene pass for noise.
+        rendered: of the rendered frame.
+        noise: of the noise of the neighbouring instants, as it would be of the captured frame if that had nothing but noise.
+    """
 
     captured: Array32
     rendered: Array32
+    noise: Array32
 
 
 def pooled_share(instants: Iterable[NoiseSums]) -> TruthShare:
     """Return the ratio of the sums over some instants; the scatter of the cells gives its uncertainty."""
     sums = list(instants)
-    if not sums:
-        return TruthShare(0.0, np.inf)
-    captured, rendered = (np.concatenate([getattr(one, part) for one in sums]) for part in ("captured", "rendered"))
+    captured, rendered, noise = (
+        np.concatenate([np.zeros(0), *(getattr(instant, part) for instant in sums)]) for part in ("captured", "rendered", "noise")
+    )
     total = float(captured.sum())
-    if total <= 0:
-        return TruthShare(0.0, np.inf)
-    share = float(rendered.sum()) / total
-    error = float(np.sqrt(np.square(rendered - share * captured).sum())) / total
-    return TruthShare(share, error)
+    if total <= NOISE_DEVIATIONS * np.sqrt(np.square(captured).sum()):
+        return TruthShare(share=0.0, error=np.inf, motion=0.0)
+    share, white = (float(values.sum()) / total for values in (rendered, noise))
+    errors = [
+        float(np.sqrt(np.square(values - ratio * captured).sum())) / total
+        for values, ratio in ((rendered, share), (noise, white))
+    ]
+    least_noise = (white - NOISE_DEVIATIONS * errors[1]) / WHITE_SHARE
+    return TruthShare(share=share, error=errors[0], motion=float(np.clip(1 - least_noise, 0, 1)))
 
 
 def noise_sums(view: ViewFrames, rendered: FineReader, truth: FineReader, index: int) -> NoiseSums:
@@ -92,6 +139,9 @@ def noise_sums(view: ViewFrames, rendered: FineReader, truth: FineReader, index:
     the mean of the frames two instants away, whose noise is not in n, so that static content does not drown it. Cells
     in which the rendering changes much, on its own account, count less.
 
+    Noise differs from the scene's changes by its covariance with that of a neighbouring instant, computed in the same way: white
+    noise of variance v has -v there, as it is in both means with the other sign, and smooth changes have nothing or more.
+
     Args:
         rendered: fine detail of its rendered frames, as `_fine` gives it; so `truth` of the captured ones.
         index: frame number of which `has_far_frames` holds; two to either side make the answer sharp.
@@ -101,10 +151,13 @@ def noise_sums(view: ViewFrames, rendered: FineReader, truth: FineReader, index:
     design = _design(around)
     noise = _beyond(truth(index) - around, design)
     theirs, ours = (_beyond(read(index) - _mean(read, far), design) for read in (truth, rendered))
+    beside = [
+        _beyond(truth(other) - _mean(truth, (index, 2 * other - index)), design) for other in near if 2 * other - index in far
+    ]
     energy, own = (np.square(image).sum(axis=1) for image in (noise, ours))
     steady = energy <= np.quantile(energy, STEADY_SHARE)
     weights = 1 / (own + np.median(own) + 1)
-    return NoiseSums(*((weights * (image * noise).sum(axis=1))[steady] for image in (theirs, ours)))
+    return NoiseSums(*((weights * (image * noise).sum(axis=1))[steady] for image in (theirs, ours, -np.mean(beside, axis=0))))
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
@@ -150,87 +203,115 @@ def _beyond(image: Array32, design: Array32) -> Array32:
 
 
 def find_copied(name: str, view: ViewFrames) -> list[Finding]:
-    """Look for frames that are copies, each compared with the others, and for a share of the truth in all others."""
+    """Look for frames that are copies, each compared with the others, and for a share of the truth in all others.
+
+    Returns:
+        Findings; the only one is "unknown" where a copy could not be told from a rendering.
+    """
     view = replace(view, rendered=lru_cache(WINDOW)(view.rendered), truth=lru_cache(WINDOW)(view.truth))
-    fits: dict[int, float] = {}
+    fits: dict[int, Fit] = {}
     identical: list[int] = []
     for index, (rendered, truth) in zip(view.frames, view.pairs(list(view.frames)), strict=True):
-        fits[index] = worst_patches(rendered, truth)
-        identical += [index] if np.array_equal(rendered, truth) else []
+        fit = worst_patches(rendered, truth)
+        if np.array_equal(rendered, truth):
+            identical.append(index)
+        elif fit is not None:
+            fits[index] = fit
     instants = [index for index in spread(view.frames, NOISE_INSTANTS) if has_far_frames(view, index)]
     ours, theirs = (lru_cache(WINDOW)(partial(_fine, read)) for read in (view.rendered, view.truth))
     noise = {index: noise_sums(view, ours, theirs, index) for index in instants if index not in identical}
-    written = _written_again({index: fit for index, fit in fits.items() if index not in identical}, noise)
-    usual = [fit for index, fit in fits.items() if index not in {*identical, *written}]
-    counted = {"n_frames": len(identical)}
-    return [
-        *([_finding(name, "certain", f"{_named(identical, view)} captured, bit by bit", counted)] if identical else []),
-        *_copies(name, view, {index: fits[index] for index in written}, usual, [noise[i] for i in written if i in noise]),
+    written = _written_again(fits, noise)
+    findings = [
+        *(
+            [_finding(name, "certain", f"{_named(identical, view)} captured, bit by bit", {"n_frames": len(identical)})]
+            if identical
+            else []
+        ),
+        *_copies(name, view, written, fits, [noise[index] for index in written if index in noise]),
         *_blend(name, [sums for index, sums in noise.items() if index not in written]),
     ]
+    if findings or pooled_share(noise.values()).reveals_copies or any(fit.reveals_copies for fit in fits.values()):
+        return findings
+    reason = "too few pixels, texture and sensor noise to tell a copy from a rendering"
+    return [Finding(name, QUESTION, "unknown", reason, {}, "ask frames of a larger size")]
 
 
-def _written_again(fits: Mapping[int, float], noise: Mapping[int, NoiseSums]) -> list[int]:
+def _written_again(fits: Mapping[int, Fit], noise: Mapping[int, NoiseSums]) -> list[int]:
     """Return the frames that fit everywhere, all alike or much better than others, and those with much more of the truth's noise.
 
     What fits but has nothing of that noise is a very good rendering.
     """
     shares = {index: pooled_share([sums]) for index, sums in noise.items()}
-    usual = float(np.median([one.share for one in shares.values()])) if shares else 0.0
-    misfit = 1 - float(np.median(list(fits.values()) or [0.0]))
-    most = 1 - SUSPICIOUS_CORRELATION if misfit < 1 - SUSPICIOUS_CORRELATION else min(1 - SUSPICIOUS_CORRELATION, misfit / 2)
-    close = {index for index, fit in fits.items() if 1 - fit < most}
+    usual = float(np.median([share.excess for share in shares.values()])) if shares else 0.0
+    misfit = 1 - float(np.median([fit.correlation for fit in fits.values()] or [0.0]))
+    displaced_misfit = float(np.median([fit.displaced_misfit for fit in fits.values()] or [0.0]))
+    most = 1 - SUSPICIOUS_CORRELATION
+    are_alike = misfit < min(most, SUSPICIOUS_MISFIT * displaced_misfit)
+    most = most if are_alike else min(most, SUSPICIOUS_MISFIT * misfit)
+    close = {index for index, fit in fits.items() if 1 - fit.correlation < most}
     close -= {index for index in close if index in shares and shares[index].most < NO_COPY}
-    noisy = {i for i, one in shares.items() if one.share > max(FRAME_SHARE, 2 * usual) and one.deviations > FRAME_DEVIATIONS}
+    least = max(FRAME_SHARE, 2 * usual)
+    noisy = {index for index, share in shares.items() if share.excess > least and share.deviations > FRAME_DEVIATIONS}
     return sorted(close | noisy)
 
 
 def _copies(
-    name: str, view: ViewFrames, fits: Mapping[int, float], usual: Sequence[float], noise: Sequence[NoiseSums]
+    name: str, view: ViewFrames, written: Sequence[int], fits: Mapping[int, Fit], noise: Sequence[NoiseSums]
 ) -> list[Finding]:
     """Return the frames that are hardly anything else; proved by their noise, or by the other frames that are not like them."""
-    if not fits:
+    if not written:
         return []
-    least, others = min(fits.values()), float(np.median(usual)) if usual else 1.0
-    one = pooled_share(noise)
-    measured = f"{_named(list(fits), view)} captured, written again: fine detail correlates {least:.3f} in the worst patches"
-    measured += f", {others:.2f} in the other frames" if usual else ""
-    measured += f"; they have {100 * one.share:.0f} % of its noise" if one.deviations > LEAST_DEVIATIONS else ""
-    values = {"n_frames": len(fits), "worst_patches": least, "worst_patches_others": others, "share": one.share}
-    is_proved = one.share > CERTAIN_SHARE and one.deviations > LEAST_DEVIATIONS
-    return [_finding(name, verdict_of(is_proved or others < USUAL_CORRELATION), measured, values)]
+    least, others = (
+        [fit.correlation for index, fit in fits.items() if (index in written) == is_written] for is_written in (True, False)
+    )
+    share = pooled_share(noise)
+    values: dict[str, float] = {"n_frames": len(written), "share": share.share}
+    measured = f"{_named(written, view)} captured, written again"
+    if least:
+        values |= {"worst_patches": min(least), "worst_patches_others": float(np.median(others or [1.0]))}
+        measured += f": fine detail correlates {values['worst_patches']:.3f} in the worst patches"
+        measured += f", {values['worst_patches_others']:.2f} in the other frames" if others else ""
+    measured += f"; they have {100 * share.share:.0f} % of its noise" if share.deviations > LEAST_DEVIATIONS else ""
+    is_proved = share.excess > CERTAIN_SHARE and share.deviations > LEAST_DEVIATIONS
+    is_unlike = bool(least) and values["worst_patches_others"] < USUAL_CORRELATION
+    return [_finding(name, verdict_of(is_proved or is_unlike), measured, values)]
 
 
 def _blend(name: str, noise: Sequence[NoiseSums]) -> list[Finding]:
     """Return a share of the truth in all frames that are no copies."""
     one = pooled_share(noise)
-    if one.share < LEAST_SHARE or one.deviations < LEAST_DEVIATIONS:
+    if one.excess < LEAST_SHARE or one.deviations < LEAST_DEVIATIONS:
         return []
     measured = (
         f"{100 * one.share:.0f} % of the truth's sensor noise is in the rendering, {one.deviations:.0f} standard errors from "
         "none: the reference was blended in, or copied and changed"
     )
-    return [_finding(name, verdict_of(one.share > CERTAIN_SHARE), measured, {"share": one.share, "share_error": one.error})]
+    return [_finding(name, verdict_of(one.excess > CERTAIN_SHARE), measured, {"share": one.share, "share_error": one.error})]
 
 
 def _named(frames: Sequence[int], view: ViewFrames) -> str:
     return f"{'all frames are' if len(frames) == len(view.frames) else named_frames(list(frames))} as"
 
 
-def worst_patches(rendered: Image8, truth: Image8) -> float:
-    """Return the correlation of fine detail in the worst of the textured patches; 0 where too few have texture."""
-    ours, theirs = (_patches(image) for image in (rendered, truth))
-    textured = theirs.std(axis=1) > TEXTURE_255
+def worst_patches(rendered: Image8, truth: Image8) -> Fit | None:
+    """Compare the fine detail of textured patches; None where too few have texture."""
+    ours, theirs = (mean_of_channels(image) for image in (rendered, truth))
+    whole_px, part_px = divmod(DISPLACED_WIDTHS * truth.shape[1], 1)
+    near, far = (np.roll(theirs, int(whole_px) + step, axis=1) for step in (0, 1))
+    patches = [_patches(grey) for grey in (theirs, ours, (1 - part_px) * near + part_px * far)]
+    textured = patches[0].std(axis=1) > TEXTURE_255
     if np.count_nonzero(textured) < FEWEST_PATCHES:
-        return 0.0
-    ours, theirs = ours[textured], theirs[textured]
-    energy = np.sqrt(np.square(ours).sum(axis=1) * np.square(theirs).sum(axis=1)) + 1e-6
-    return float(np.quantile((ours * theirs).sum(axis=1) / energy, WORST_SHARE))
+        return None
+    wanted, *compared = (flat[textured] for flat in patches)
+    worst = []
+    for flat in compared:
+        energy = np.sqrt(np.square(flat).sum(axis=1) * np.square(wanted).sum(axis=1)) + 1e-6
+        worst.append(float(np.quantile((flat * wanted).sum(axis=1) / energy, WORST_SHARE)))
+    return Fit(correlation=worst[0], displaced_misfit=1 - worst[1])
 
 
-def _patches(image: Image8) -> Array32:
-    """Fine detail of the mean of the channels in squares, each without its mean, (patches, pixels)."""
-    grey = mean_of_channels(image)
+def _patches(grey: Array32) -> Array32:
+    """Fine detail of a picture in squares, each without its mean, (patches, pixels)."""
     flat = _cells(np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.8) - cv2.GaussianBlur(grey, (0, 0), 3.0), np.float32))
     return np.asarray(flat - flat.mean(axis=1, keepdims=True), dtype=np.float32)
 

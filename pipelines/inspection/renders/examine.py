@@ -197,7 +197,9 @@ def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
     return np.asarray(np.median(cells.reshape(REGIONS**2, -1), axis=1), dtype=np.float64)
 
 
-def examine(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None) -> list[Finding]:
+def examine(
+    views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None, with_unknown: bool = False
+) -> list[Finding]:
     """Find what went wrong between a method and the folder of its renders.
 
     An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is reported only where it explains
@@ -206,6 +208,7 @@ def examine(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] 
     Args:
         views: name -> rendered and captured frames.
         cameras: captured frames of further cameras, which a view may be mistaken for; the views' own are known.
+        with_unknown: also which questions the frames are too small or too few to answer.
 
     Returns:
         Findings by view, in the order of the views.
@@ -237,7 +240,10 @@ def examine(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] 
     found += levels
     for name, view in undo_changes(comparable, levels).items():
         # Copies among renders of another exposure flicker, too.
-        found += find_copied(name, view) or find_flicker(name, view)
+        copied = find_copied(name, view)
+        is_copied = any(finding.verdict != "unknown" for finding in copied)
+        found += copied if is_copied else [*copied, *find_flicker(name, view)]
+    found = [finding for finding in found if with_unknown or finding.verdict != "unknown"]
     findings: list[Finding] = []
     for name, scan in scans.items():
         of_view = [finding for finding in found if finding.subject == name]
