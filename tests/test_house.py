@@ -13,11 +13,11 @@ pytestmark = pytest.mark.slow
 
 # Whoever lowers a figure lowers its limit. The plan: a package of 575,000 tokens, tests of 520,000, `score` with 70 modules and
 # 14,000 lines, `evaluate` with 110 and 21,000, 150 names of the core in contrib, no pronoun as a name.
-MOST_TOKENS = {"core": 456_500, "contrib": 188_000, "tests": 524_500}
-MOST_REACHED = {"pipelines.run.score": (52, 8_575), "pipelines.run.evaluate": (108, 19_900)}
-MOST_CORE_NAMES_IN_CONTRIB = 404
+MOST_TOKENS = {"core": 453_950, "contrib": 187_250, "tests": 522_700}
+MOST_REACHED = {"pipelines.run.score": (52, 8_565), "pipelines.run.evaluate": (107, 19_440)}
+MOST_CORE_NAMES_IN_CONTRIB = 398
 MOST_API_NAMES = 150
-MOST_PRONOUNS = 1_777
+MOST_PRONOUNS = 1_720
 
 
 def test_rooms_hold_no_more_tokens_than_before():
