@@ -107,6 +107,7 @@ def faulty(capture: Capture, name: str, tilt_px: float) -> Capture:
     return replace(capture, cameras=tuple(cameras))
 
 
+@pytest.mark.slow
 def test_page_loads_its_pictures_and_nothing_else(page):
     """Every address is a picture that exists, small and loaded when needed, or a place in the page; own scripts alone run."""
     text = page.read_text(encoding="utf-8")
@@ -144,6 +145,7 @@ def test_report_of_the_run_has_it_as_a_sheet(page, tmp_path):
     assert "/pictures/" not in alone
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_store(page, record):
     """Shares of pixels, confidence and depth are those of the maps, in the page and in the file beside it."""
     told = json.loads((page.parent / "index.json").read_text())

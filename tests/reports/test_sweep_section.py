@@ -11,6 +11,8 @@ from ggvs_eval.reports.report import write_report
 from helpers.small_runs import leave_out_pixels
 from helpers.sweep_folders import KS, LINES, write_sweep
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory) -> Path:

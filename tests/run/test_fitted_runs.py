@@ -33,6 +33,8 @@ from helpers.nearest_camera import LABEL
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
+pytestmark = pytest.mark.slow
+
 TWIN, HELD_OUT = "cam05", "cam00"  # the twin sees what cam01 sees, pixel for pixel
 PROTOCOL = Protocol(
     "folded",
