@@ -1,8 +1,9 @@
 """Coverage of 95 % intervals of means of correlated clips, their width, and how often equal methods are distinguished.
 
-    python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 1000]
+    python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 1000] [--tables 200]
 
-First the methods in question on one series, then the package's own on views and on pairs of methods.
+First the methods in question on one series, then the package's own on views and on pairs of methods, then tables of several
+methods and metrics.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,10 +17,12 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.results import Results, make_table
 from ggvs_eval.statistics.autocorrelation import FEWEST_WORTH, Posterior, correlation_posterior, tail_probability
 from ggvs_eval.statistics.intervals import measure_spread
+from ggvs_eval.statistics.paired import Pair, Ranking, judge
 from ggvs_eval.statistics.pooled import PooledScene
-from ggvs_eval.statistics.pooling import Pool, pool_mean, pool_sdt
+from ggvs_eval.statistics.pooling import MEAN, Pool, pool_mean, pool_sdt
 
 FRAMES = (24, 100, 300)
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.9)
@@ -42,10 +45,12 @@ class Options:
     Attributes:
         repetitions: clips of each kind for the methods in question.
         package_repetitions: clips of each kind for the package's own functions.
+        tables: of each kind, of which the winners are counted.
     """
 
     repetitions: int = 4000
     package_repetitions: int = 1000
+    tables: int = 200
 
 
 def autoregressive(generator: Generator, count: int, frames: int, correlation: float, heavy: bool = False) -> Array:
@@ -227,11 +232,57 @@ def check_package(repetitions: int) -> Iterator[str]:
         )
 
 
+# Equal methods, metrics, views, frames, correlation, heavy tails; and how far another method is ahead of them.
+TABLES = (
+    *((2, 1, 3, 12, 0.9, False, 0.0), (2, 1, 3, 6, 0.95, False, 0.0), (2, 7, 3, 4, 0.95, True, 0.0)),
+    *((2, 7, 3, 24, 0.0, False, 0.0), (2, 7, 3, 24, 0.9, True, 0.0), (2, 7, 9, 24, 0.5, False, 0.0)),
+    *((2, 7, 3, 100, 0.8, False, 0.0), (3, 7, 3, 24, 0.5, False, 0.0), (6, 7, 3, 24, 0.5, True, 0.0)),
+    *((6, 3, 9, 100, 0.8, False, 0.0), (2, 7, 3, 24, 0.5, False, 50.0), (2, 7, 3, 100, 0.8, False, 50.0)),
+)
+
+
+def check_tables(repetitions: int) -> Iterator[str]:
+    """Yield the share of tables of equal methods in which any metric has a winner, of the table or of a pair, in %."""
+    yield "\n| methods | metrics | views | frames | c | tails | one ahead by | winner in the table | winner of a pair |"
+    yield "| ---: | ---: | ---: | ---: | ---: | --- | ---: | ---: | ---: |"
+    for count, n_metrics, views, frames, correlation, tails, ahead in TABLES:
+        generator = np.random.default_rng([count, n_metrics, views, frames, int(ahead)])
+        metrics = [f"metric {at}" for at in range(n_metrics)]
+        equal = [f"method {at}" for at in range(count)]
+        winners, pairs_called = 0, 0
+        for _ in range(repetitions):
+            results = equal_methods(generator, equal, metrics, (views, frames, correlation, tails), ahead)
+            standings = judge(results, [Ranking(metric, higher_is_better=True) for metric in metrics], "room")
+            winners += any(judgement.winner in equal for judgement in standings.judgements.values())
+            decided = standings.decide(Pair(metric, equal[0], equal[1]) for metric in metrics)
+            pairs_called += any(comparison.outcome in ("better", "worse") for comparison in decided.values())
+        shares = " | ".join(f"{100 * number / repetitions:.1f}" for number in (winners, pairs_called))
+        kind = "heavy" if tails else "normal"
+        yield f"| {count} | {n_metrics} | {views} | {frames} | {correlation:.2f} | {kind} | {ahead:g} | {shares} |"
+
+
+def equal_methods(
+    generator: Generator, equal: list[str], metrics: list[str], shape: tuple[int, int, float, bool], ahead: float
+) -> Results:
+    """Return results of methods that are equal but for their errors; if ``ahead`` is not 0, of another before them."""
+    rows = []
+    for metric in metrics:
+        shared = rig(generator, *shape)
+        for method in [*equal, "ahead"] if ahead else equal:
+            values = shared + rig(generator, *shape) + (ahead if method == "ahead" else 0.0)
+            for (view, frame), value in np.ndenumerate(values):
+                rows.append(("room", "room", method, "", f"cam{view:02}", frame, metric, value))
+    pooling = dict.fromkeys(metrics, MEAN.record())
+    return Results(make_table(rows), {"protocol_sha256": "", "pooling": pooling})
+
+
 def main(options: Options) -> None:
-    """Print both tables."""
+    """Print all tables."""
     for line in compare_methods(options.repetitions):
         print(line, flush=True)
     for line in check_package(options.package_repetitions):
+        print(line, flush=True)
+    for line in check_tables(options.tables):
         print(line, flush=True)
 
 

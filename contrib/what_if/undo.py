@@ -15,7 +15,7 @@ from ggvs_eval.transforms import Transform, at_ends
 # What levels lose is known within a factor of two. Renders are hardly sharper than the truth, and hardly have a tenth of the
 # squared error of themselves interpolated.
 MARGIN, PLAUSIBLE, LEAST_SHARE = 2.0, 1.2, 0.1
-# Cubic interpolation has lost at most so many times what linear interpolation of the result loses.
+# Cubic interpolation loses at most this multiple of what linear interpolation of its result loses.
 SHARP = 2.0
 Change = Callable[[ViewFrames], ViewFrames]
 

@@ -193,7 +193,7 @@ def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
 
 
 def _unread(path: Path, names: Iterable[str]) -> str:
-    """Return what lies there in formats that are not read: videos of these cameras or, without names, of any; pictures."""
+    """Return the media in formats that are not read: videos of these cameras or, without names, of any; pictures."""
     folders = dict.fromkeys(file.parent for file in list_files_below(path, (*UNREAD_VIDEOS, *UNREAD_PICTURES), DEEPEST))
     videos = next(filter(None, (unread_videos(folder, tuple(names)) for folder in folders)), "")
     pictures = ((folder, unread_pictures(folder)) for folder in folders)

@@ -113,9 +113,9 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
 
 
-def differences(one: Side, other: Side, run: Path, names: tuple[str, str] = SIDES) -> tuple[Difference, ...]:
+def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     """Return every metric that both have, see `compare_pairs`."""
-    return compare_pairs({"": (one, other)}, run, {"": names})[""]
+    return compare_pairs({"": (one, other)}, run)[""]
 
 
 def compare_pairs(
@@ -132,17 +132,19 @@ def compare_pairs(
         Two methods of one run are judged as its tables judge them. Means of different runs are one family, over all pairs and
         metrics; single views are another.
     """
-    compared = {name: _compare_sides(*sides, run, (names or {}).get(name, SIDES)) for name, sides in pairs.items()}
-    places = [(name, at) for name, rows in compared.items() for at in range(len(rows))]
+    compared: dict[tuple[str, int], Difference] = {}
+    for name, sides in pairs.items():
+        rows = _compare_sides(*sides, run, (names or {}).get(name, SIDES))
+        compared |= {(name, at): row for at, row in enumerate(rows)}
     for is_of_view in (False, True):
-        open_ = {
-            (name, at): compared[name][at].comparison
-            for name, at in places
-            if bool(compared[name][at].view) == is_of_view and compared[name][at].comparison.corrected is None
+        undecided = {
+            place: row.comparison
+            for place, row in compared.items()
+            if bool(row.view) == is_of_view and row.comparison.corrected is None
         }
-        for (name, at), comparison in decide(open_).items():
-            compared[name][at] = replace(compared[name][at], comparison=comparison)
-    return {name: tuple(rows) for name, rows in compared.items()}
+        for place, comparison in decide(undecided).items():
+            compared[place] = replace(compared[place], comparison=comparison)
+    return {name: tuple(row for place, row in compared.items() if place[0] == name) for name in pairs}
 
 
 def _compare_sides(one: Side, other: Side, run: Path, names: tuple[str, str]) -> list[Difference]:
@@ -154,15 +156,18 @@ def _compare_sides(one: Side, other: Side, run: Path, names: tuple[str, str]) ->
     standings = _standings(measured, one.results if is_one_run else both, labels, dataset)
     set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (one, other)])
     means = both.summary().loc[dataset]
+    notes = [
+        note
+        for metric, note in measured.metrics.items()
+        if both.table[both.table["metric"] == metric]["method"].nunique() == len(SIDES)
+    ]
+    pairs = [Pair(note.name, *labels) for note in notes]
+    decided = standings.decide(pairs) if is_one_run else {}  # all metrics of the two together
     rows: list[Difference] = []
-    for metric, note in measured.metrics.items():
-        if both.table[both.table["metric"] == metric]["method"].nunique() < len(SIDES):
-            continue
-        pair, unranked = Pair(metric, *labels), standings.judgements[metric].unranked
-        comparison = (
-            standings.decide([pair])[pair] if is_one_run else compare(both, metric, *SIDES, dataset, note.higher_is_better)
-        )
-        first, second = (float(means[metric][side, ""]) for side in SIDES)
+    for note, pair in zip(notes, pairs, strict=True):
+        unranked = standings.judgements[note.name].unranked if note.name in standings.judgements else {}
+        comparison = decided.get(pair) or compare(both, note.name, *SIDES, dataset, note.higher_is_better)
+        first, second = (float(means[note.name][side, ""]) for side in SIDES)
         why = set_aside or _named(names, map(unranked.get, labels))
         rows.append(Difference(note, "", first, second, comparison, why, names))
         rows += [replace(row, set_aside=why, names=names) for row in _per_view(both, dataset, note)]

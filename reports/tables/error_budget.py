@@ -207,7 +207,7 @@ def _tones(levels: Array32 | Image8) -> Array:
 
 
 def _resized(values: Array32 | Image8 | Map, widest: int) -> Array32:
-    """Return a picture of so many columns at most."""
+    """Return a picture with at most this number of columns."""
     height, width = values.shape[:2]
     columns = min(width, widest)
     size = columns, max(1, round(columns / width * height))

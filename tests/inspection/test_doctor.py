@@ -448,7 +448,7 @@ def examine_all(renders: dict[str, np.ndarray], truth: dict[str, np.ndarray], *c
 
 
 def drifting(step_px: tuple[int, int]) -> np.ndarray:
-    """A patch that moves by so many pixels from one frame to the next in front of a still wall."""
+    """A patch that moves by a number of pixels from one frame to the next in front of a still wall."""
     rng = np.random.default_rng(7)
     wall, patch = (cv2.resize(rng.uniform(20, 230, (h, w, 3)), (8 * w, 8 * h)) for w, h in ((24, 18), (8, 8)))
     frames = np.repeat(wall[None], N_FRAMES, axis=0)

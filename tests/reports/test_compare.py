@@ -9,10 +9,11 @@ import pytest
 
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.model.measured import read_scores
+from ggvs_eval.reports.model.measured import METHODS_FILE, read_scores
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides, run_sides
 from ggvs_eval.reports.tables.verdict import judge_runs
 from ggvs_eval.results import Results
+from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import Pair, compare, decide
 from helpers.command_line import refusal
 from helpers.run_folders import RunShape, write_run
@@ -75,16 +76,33 @@ def test_methods_of_one_run_are_compared_by_the_statistics_package(runs):
     rows = [row for row in differences(*method_sides(runs["plain"], *labels), runs["plain"]) if not row.view]
     measured = read_scores(runs["plain"])
     (standings,) = judge_runs([measured], measured.results).values()
+    decided = standings.decide(Pair(row.metric, *labels) for row in rows)
     for row in rows:
         undecided = replace(row.comparison, corrected=None, short="", outcome="untested")
         better_when = row.note.higher_is_better
         assert undecided == compare(measured.results, row.metric, *labels, "Demo room", higher_is_better=better_when)
         pair = Pair(row.metric, *labels)
-        assert row.comparison == standings.decide([pair])[pair]
+        assert row.comparison == decided[pair]
         assert row.comparison.corrected >= min(1.0, len(rows) * row.comparison.p_value)
         for best in {pair.first, pair.second} & {standings.judgements[row.metric].best}:
             against = standings.judgements[row.metric].comparisons[({pair.first, pair.second} - {best}).pop()]
             assert row.comparison in (against, against.reversed)
+
+
+def test_two_methods_behind_the_best_are_judged_over_all_their_metrics(tmp_path):
+    """Where a third method is best by far, the p values of the two others are corrected for each other's metrics too."""
+    run = write_values(tmp_path / "run")
+    write_json(run / METHODS_FILE, read_json(run / METHODS_FILE) | {"ours": []})
+    results = Results.read(run)
+    is_best = results.table["method"] == "no-blending"
+    direction = np.where(results.table["metric"] == "L1", -1.0, 1.0)
+    values = np.where(is_best, results.table["value"] + 0.4 * direction, results.table["value"])
+    Results(results.table.assign(value=values), results.provenance, results.not_computed).write(run)
+    rows = differences(*method_sides(run, "ours-geometric", "ours-geometric+no-temporal"), run)
+    means = [row.comparison for row in rows if not row.view]
+    smallest = min(means, key=lambda comparison: comparison.p_value)
+    assert len(means) == 3
+    assert smallest.corrected >= min(1.0, 3 * smallest.p_value)
 
 
 def test_direction_is_the_metrics(runs):

@@ -25,7 +25,7 @@ SMALLEST_RESIDUAL = 1e-3
 LEAST_BASELINE = 0.005
 # The same scene is in front of all cameras; matches behind one mean that its pose is turned away.
 FRONT_SHARE = 0.5
-# A pair is wrong if its median error exceeds the tolerance by so many standard errors.
+# A pair is wrong if its median error exceeds the tolerance by this many standard errors.
 SIGMAS = 2.0
 
 

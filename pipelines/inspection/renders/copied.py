@@ -206,7 +206,7 @@ def find_copied(name: str, view: ViewFrames) -> list[Finding]:
     """Look for frames that are copies, each compared with the others, and for a share of the truth in all others.
 
     Returns:
-        Findings; the only one is "unknown" where a copy could not be told from a rendering.
+        Findings; the only one is "unknown" where a copy looks like a rendering.
     """
     view = replace(view, rendered=lru_cache(WINDOW)(view.rendered), truth=lru_cache(WINDOW)(view.truth))
     fits: dict[int, Fit] = {}
