@@ -351,17 +351,16 @@ def describe_calibration(run: MeasuredRun) -> str:
 
 
 def largest_cause(name: str, budgets: Sequence[Table]) -> str:
-    """Return the largest part of a method's squared error, in words; empty if no error was taken apart."""
-    rows = [(budget, row) for budget in budgets if budget.key == BUDGET_KEY for row in budget.rows if row.name == name]
+    """Return the largest explained part of a method's squared error, and a larger rest, in words; empty if there is none."""
+    rows = [row for budget in budgets if budget.key == BUDGET_KEY for row in budget.rows if row.name == name]
     if not rows:
         return ""
-    budget, row = rows[0]
-    parts = zip(budget.columns, row.cells, strict=True)
-    shares = {column.name: cell.value for column, cell in parts if column.name in CAUSES and cell.value}
-    if not shares:
+    *explained, remainder = (cell.value or 0.0 for cell in rows[0].cells[1:])  # behind the squared error
+    largest, cause = max(zip(explained, CAUSES.values(), strict=False))  # the remainder has none
+    if not largest:
         return ""
-    largest = max(shares, key=lambda part: shares[part] or 0.0)
-    return f"{shares[largest]:.0f} % of its squared error is {CAUSES[largest]}."
+    unexplained = f", and {remainder:.0f} % is unexplained" if remainder > largest else ""
+    return f"{largest:.0f} % of its squared error is {cause}{unexplained}."
 
 
 def error_section(report: Report) -> SectionContent:

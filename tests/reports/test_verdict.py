@@ -12,7 +12,7 @@ import pytest
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Cell, Row, Table
-from ggvs_eval.reports.tables.error_budget import budget_table, describe_absolute, describe_calibration, largest_cause
+from ggvs_eval.reports.tables.error_budget import CAUSES, budget_table, describe_absolute, describe_calibration, largest_cause
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.results import without_labels
@@ -92,8 +92,11 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
     assert "a perfect rendering without noise or codec would have 40.50 dB" in absolute
     assert "published" not in absolute
     row = next(row for row in budget.rows if row.name == NAMES[MIDDLE])
-    shares = [cell.value or 0.0 for cell in row.cells[1:]]
-    assert f"{max(shares):.0f} % of its squared error" in largest_cause(NAMES[MIDDLE], [budget])
+    assert [column.name for column in budget.columns[1:]] == [*CAUSES]
+    *shares, rest = (cell.value or 0.0 for cell in row.cells[1:])
+    said = largest_cause(NAMES[MIDDLE], [budget])
+    assert f"{max(shares):.0f} % of its squared error is {[*CAUSES.values()][shares.index(max(shares))]}" in said
+    assert (f"{rest:.0f} % is unexplained" in said) == (rest > max(shares))
     assert largest_cause("nobody", [budget]) == largest_cause(NAMES[MIDDLE], []) == ""
 
     psnr = next(at for at, column in enumerate(tables[0].columns) if column.name == "PSNR")
