@@ -156,8 +156,10 @@ def test_a_table_for_a_paper_is_of_stored_results_alone(nasty_run, tmp_path, cap
 
 def test_several_scenes_are_columns_beside_their_mean(tmp_path):
     """A table per metric: each scene's value, and the mean of the scenes last; another protocol is refused."""
-    roots = [write_run(tmp_path / scene, RunShape(scene=scene, content=scene)) for scene in ("fern", "flower")]
-    lines = list(csv.DictReader(tables_of_runs(roots, ["PSNR", "LPIPS"], "csv").splitlines()))
+    metrics = ("PSNR", "LPIPS")
+    shapes = [RunShape(scene=scene, content=scene, metrics=metrics) for scene in ("fern", "flower")]
+    roots = [write_run(tmp_path / shape.scene, shape) for shape in shapes]
+    lines = list(csv.DictReader(tables_of_runs(roots, metrics, "csv").splitlines()))
     assert [(line["table"], line["column"]) for line in lines[:3]] == [("PSNR", "fern"), ("PSNR", "flower"), ("PSNR", "Mean")]
     values = [float(line["value"]) for line in lines if line["table"] == "PSNR"]
     for fern, flower, mean in zip(values[::3], values[1::3], values[2::3], strict=True):
