@@ -4,8 +4,9 @@ Folders mirror those of the package; what tests build on is the package `helpers
 installed wheel.
 
 A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into ``make test-all`` and
-``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core fails, and so does
-one that is the first to use a shared fixture of more than two; a slow test fails beyond fifteen (`helpers.time_limits`).
+``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core is listed at the
+end, and so is one that is the first to use a shared fixture of more than two, and a slow test beyond fifteen; one that takes
+twice as long fails (`helpers.time_limits`).
 """
 
 import gc

@@ -15,10 +15,10 @@ def finish(steps: Iterator[object]) -> None:
         steps.send(None)
 
 
-def run(test_s: float, marker: str = "", **fixture_s: float) -> None:
-    """Let the limits time a test that takes what is said, on a machine that is half as fast again."""
+def run(test_s: float, marker: str = "", **fixture_s: float) -> list[str]:
+    """Let the limits time a test that takes what is said, on a machine that is half as fast again; return what they note."""
     limits, clock = TimeLimits(), SimpleNamespace(now_s=0.0)
-    item = SimpleNamespace(nodeid="test_it", get_closest_marker=lambda name: name == marker or None)
+    item = SimpleNamespace(nodeid="test_it", get_closest_marker=lambda name: name == marker or None, user_properties=[])
     with pytest.MonkeyPatch.context() as patch:  # not while the tests of this file are timed
         patch.setattr(time_limits, "_used_s", lambda: clock.now_s)
         patch.setattr(time_limits, "_slowness", lambda: 1.5)
@@ -34,6 +34,7 @@ def run(test_s: float, marker: str = "", **fixture_s: float) -> None:
         next(call)
         clock.now_s += test_s
         finish(call)
+    return [text for _, text in item.user_properties]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def run(test_s: float, marker: str = "", **fixture_s: float) -> None:
 )
 def test_what_a_test_may_take(seconds, marker):
     """A second, fifteen of a slow one; two of a fixture, twenty of the whole run, by this machine's own speed."""
-    run({"": 1.4, "slow": 22.4, "proof": 99.0}[marker], marker, **seconds)
+    assert not run({"": 1.4, "slow": 22.4, "proof": 99.0}[marker], marker, **seconds)
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,9 @@ def test_what_a_test_may_take(seconds, marker):
     ],
 )
 def test_a_long_test_is_named(test_s, marker, fixture_s, message):
-    """The test itself, or the fixture that it was the first to need."""
-    with pytest.raises(pytest.fail.Exception, match=message):
-        run(test_s, marker, **fixture_s)
+    """The test itself, or the fixture that it was the first to need: listed, and from twice the limit refused."""
+    [note] = run(test_s, marker, **fixture_s)
+    assert message in note
+    twice = {name: 2 * seconds for name, seconds in fixture_s.items()}
+    with pytest.raises(pytest.fail.Exception, match="at most; do less, or mark it slow"):
+        run(2 * test_s, marker, **twice)

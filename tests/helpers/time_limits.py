@@ -1,7 +1,8 @@
-"""A plugin of pytest: a test that passes and takes too long fails by name; ``-p no:time_limits`` lets it be.
+"""A plugin of pytest: a test that takes too long is listed, one that takes twice that fails; ``-p no:time_limits`` lets it be.
 
 Seconds are processor time of this process and of those that it waited for, on the machine that `REFERENCE_S` was measured on;
-a slower or busier machine is given as much more as the work of `_slowness` takes on it at that moment.
+a slower or busier machine is given as much more as the work of `_slowness` takes on it at that moment. The same test takes up to
+1.6 times as long beside others, by caches and clocks that no such factor knows: so a limit that is just missed refuses nothing.
 """
 
 import os
@@ -18,6 +19,8 @@ MOST_SHARED_S = {"whole_run": 20.0}  # of a fixture that tests share, by name
 MOST_OTHER_SHARED_S = 2.0
 REFERENCE_S = 0.035
 IMPORT_S = 0.003  # of a module that a test is the first to need
+REFUSED_FROM = 2.0  # times the limit
+LONG = "took too long"  # property of a report
 
 
 class TimeLimits:
@@ -48,20 +51,33 @@ class TimeLimits:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
-        """Fail a test that took too long, or a fixture by the name of its first test."""
+        """Judge a test by its time, and a fixture by the name of its first test."""
         result = yield
         if not item.get_closest_marker("proof"):
             own_s = _used_s() - self._began_s - sum(self._fixtures.values())
             marked_s = [seconds for marker, seconds in MOST_S.items() if item.get_closest_marker(marker)]
-            _refuse_long(item.nodeid, own_s, max(marked_s, default=MOST_OTHER_S))
+            _judge(item, item.nodeid, own_s, max(marked_s, default=MOST_OTHER_S))
             for name, seconds in () if marked_s else self._fixtures.items():
-                _refuse_long(f"fixture {name} of {item.nodeid}", seconds, MOST_SHARED_S.get(name, MOST_OTHER_SHARED_S))
+                most_s = MOST_SHARED_S.get(name, MOST_OTHER_SHARED_S)
+                _judge(item, f"fixture {name} of {item.nodeid}", seconds, most_s)
         return result
 
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """List what took longer than wanted."""
+        for report in terminalreporter.getreports("passed"):
+            for name, text in report.user_properties:
+                if name == LONG and report.when == "call":
+                    terminalreporter.write_line(str(text))
 
-def _refuse_long(name: str, used_s: float, most_s: float) -> None:
-    if used_s > most_s and used_s > most_s * _slowness():
-        pytest.fail(f"{name} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less, or mark it slow", pytrace=False)
+
+def _judge(item: pytest.Item, name: str, used_s: float, most_s: float) -> None:
+    """Note a time above the limit for the end of the report, which other processes write; fail far above it."""
+    if used_s <= most_s or used_s <= most_s * (slowness := _slowness()):
+        return
+    message = f"{name} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less, or mark it slow"
+    if used_s > REFUSED_FROM * most_s * slowness:
+        pytest.fail(message, pytrace=False)
+    item.user_properties.append((LONG, message))
 
 
 def _used_s() -> float:
