@@ -27,6 +27,19 @@ OF_A_SCREEN = tuple(f"{name}_stream" for name in USUAL)  # metrics of earlier ve
 
 
 @dataclass(frozen=True)
+class SceneSources:
+    """Cameras that any method may see in some scenes of a data set.
+
+    Attributes:
+        scenes: names of the scenes, as their folders are called.
+        sources: names of the cameras.
+    """
+
+    scenes: tuple[str, ...]
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Views:
     """Cameras that are synthesised, each from the others (leave-one-out).
 
@@ -35,6 +48,7 @@ class Views:
         chosen_by: who chose them and by which rule.
         keep_unsynced: keep cameras that are known to be out of step among the sources, as the code of some authors does.
         sources: names of the cameras that any method may see, in images or in depth; empty for every camera.
+        of_scenes: such cameras where they differ by scene; the protocol is then one of these scenes alone.
         folds: groups of test cameras that are held out together from a method fitted to the capture, one fit per group. If it is
             empty and such a method runs, the run states the groups, see `ggvs_eval.pipelines.run.folds.choose_folds`.
     """
@@ -43,7 +57,24 @@ class Views:
     chosen_by: str = "by hand"
     keep_unsynced: bool = field(default=False, metadata=LATER)
     sources: tuple[str, ...] = field(default=(), metadata=LATER)
+    of_scenes: tuple[SceneSources, ...] = field(default=(), metadata=LATER)
     folds: tuple[tuple[str, ...], ...] = field(default=(), metadata=LATER)
+
+    def sources_of(self, scene: str) -> tuple[str, ...]:
+        """Return the cameras that any method may see in a scene; empty for every camera.
+
+        Raises:
+            ProtocolError: the protocol lists scenes, and this is none of them.
+        """
+        if not self.of_scenes:
+            return self.sources
+        by_scene = {name: entry.sources for entry in self.of_scenes for name in entry.scenes}
+        if scene not in by_scene:
+            raise ProtocolError(
+                f"the protocol names the sources of {', '.join(by_scene)}, got the scene {scene}; "
+                "rename its folder, or choose another protocol"
+            )
+        return by_scene[scene]
 
 
 @dataclass(frozen=True)

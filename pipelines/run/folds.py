@@ -114,7 +114,8 @@ def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
     views = protocol.views
     if views.folds:
         return protocol
-    visible = [view for view in views.test if not views.sources or view in views.sources]
+    sources = views.sources_of(capture.scene)
+    visible = [view for view in views.test if not sources or view in sources]
     folds = choose_folds([capture.camera(view) for view in visible]) if visible else ((),)
     unseen = tuple(view for view in views.test if view not in visible)
     return protocol.with_folds(((*unseen, *folds[0]), *folds[1:]))

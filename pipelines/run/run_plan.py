@@ -268,14 +268,17 @@ def plan_run(request: RunRequest) -> RunPlan:
 
 
 def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
-    """Return the capture without the cameras that no method may see (``views.sources``)."""
-    sources = protocol.views.sources
+    """Return the capture without the cameras that no method may see (`Views.sources_of`)."""
+    sources = protocol.views.sources_of(capture.scene)
     return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture
 
 
 def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     """Return the capture at the protocol's size."""
-    for doing, names, key in (("tests", protocol.views.test, "test"), ("shows", protocol.views.sources, "sources")):
+    for doing, names, key in (
+        ("tests", protocol.views.test, "test"),
+        ("shows", protocol.views.sources_of(capture.scene), "sources"),
+    ):
         absent = [name for name in names if name not in capture.camera_names]
         if absent:
             raise CaptureError(

@@ -108,9 +108,17 @@ def published_protocols(capture: Capture) -> list[Protocol]:
         for each in loaded
         if each.views.chosen_by.startswith(BY_AUTHORS)
         and set(each.views.test) <= set(capture.camera_names)
+        and _is_of_scene(each, capture.scene)
         and each.frames.numbers.stop <= capture.n_frames
+        and (each.frames.count > 1 or capture.n_frames == 1)
         and abs(each.synthesis.width * height / (each.synthesis.height * width) - 1) <= SAME_SHAPE
     ]
+
+
+def _is_of_scene(protocol: Protocol, scene: str) -> bool:
+    """Return whether a packaged protocol can be one of a scene: it lists that, is named after it, or is of all scenes."""
+    listed = [name for entry in protocol.views.of_scenes for name in entry.scenes]
+    return scene in listed if listed else not protocol.name.startswith("llff") or protocol.name.endswith(f"_{scene}")
 
 
 def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str, str]) -> dict[str, str]:

@@ -60,19 +60,27 @@ class Terms:
     scenes: str
     layouts: str
 
+    @property
+    def words(self) -> str:
+        """Source and ways of measuring, as one sentence each."""
+        measured = f"frames: {self.frames}; LPIPS: {self.lpips_net}; D-SSIM: {self.dssim}"
+        return f"{self.source}; {measured}. Values: {self.checked}."
+
+    def differences(self, protocol: Protocol) -> tuple[str, ...]:
+        """List in words what a protocol does otherwise than the packaged one; nothing that moves no value counts."""
+        ours, theirs = _without_choices(protocol), _without_choices(load_protocol(self.protocol))
+        parts = ("dataset", "views", "frames", "synthesis", "measurement")
+        differing = [part for part in parts if getattr(ours, part) != getattr(theirs, part)]
+        return (f"this run differs from the packaged protocol in {', '.join(differing)}",) if differing else ()
+
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
-        """List in words what a run does otherwise; empty if it agrees in all that is stated.
+        """List in words what a run does otherwise than the paper; empty if it agrees in all that is stated.
 
         Reading:
             The paper states less than a protocol, of its test views the number alone. Community
-            protocols are wanted in full, but for what moves no value.
+            protocols are wanted in full, see `differences`.
         """
         protocol, packaged = run.protocol, load_protocol(self.protocol)
-        if not self.layouts:
-            ours, theirs = _without_choices(protocol), _without_choices(packaged)
-            parts = ("dataset", "views", "frames", "synthesis", "measurement")
-            differing = [part for part in parts if getattr(ours, part) != getattr(theirs, part)]
-            return (f"this run differs from the packaged protocol in {', '.join(differing)}",) if differing else ()
         capture, synthesis, scenes = run.capture, packaged.synthesis, self.scenes.split()
         layout, layouts = capture.get("layout", "unknown"), self.layouts.split()
         size, paper_size = rendered_size(run), (synthesis.width, synthesis.height)
@@ -165,33 +173,38 @@ def paper_beside(
     return published_rows(values, metrics), []
 
 
+def community_values(protocol: Protocol, scenes: Sequence[str]) -> tuple[list[PublishedValue], str]:
+    """Return the values of a packaged protocol that compare with runs under it, or else the reason in words.
+
+    They are those of the scenes and means over the whole data set; both are empty if nothing is published.
+    """
+    terms = published_terms().get(protocol.name)
+    if terms is None or terms.layouts:
+        return [], ""
+    values = [value for value in published_values() if value.protocol == protocol.name]
+    scenes_of_table = {value.scene.lower() for value in values if not value.scene.startswith(MEAN)}
+    scenes_of_table.update(terms.scenes.lower().split())
+    foreign = [scene for scene in scenes if scenes_of_table and scene.lower() not in scenes_of_table]
+    not_of_them = f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
+    if reason := next(filter(None, (*terms.differences(protocol), not_of_them, terms.withheld)), ""):
+        return [], reason
+    return [value for value in values if value.scene in scenes or value.scene.startswith(MEAN)], ""
+
+
 def community_beside(
     key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
 ) -> tuple[tuple[Row, ...], list[str]]:
-    """Return the rows of the runs' packaged protocol, with their source or the reason why there are none.
-
-    They are those of the runs' scenes and means over the whole data set.
-    """
+    """Return the rows of the runs' packaged protocol, with their source or the reason why there are none."""
     protocol, is_first = runs[0].protocol, key == "quality"
-    terms = published_terms().get(protocol.name)
-    if terms is None or terms.layouts:
-        return (), []
     scenes = [f"{run.scene}, a demo capture," if run.is_demo else run.scene for run in runs]
-    values = [value for value in published_values() if value.protocol == protocol.name]
-    known = {value.scene.lower() for value in values if not value.scene.startswith(MEAN)}
-    known.update(terms.scenes.lower().split())
-    foreign = [scene for scene in scenes if known and scene.lower() not in known]
-    not_of_them = f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
-    if reason := next(filter(None, (*terms.departures(runs[0]), not_of_them, terms.withheld)), ""):
+    values, reason = community_values(protocol, scenes)
+    if reason:
         return (), [f"Published values of {protocol.name} are not shown: {reason}."] if is_first else []
-    values = [value for value in values if value.scene in scenes or value.scene.startswith(MEAN)]
     rows = published_rows(values, metrics)
     if not values or not (rows or is_first):
         return rows, []
-    source = (
-        f"Grey: {terms.source}; frames: {terms.frames}; LPIPS: {terms.lpips_net}; D-SSIM: {terms.dssim}. "
-        f"Values: {terms.checked}. Methods that fit a scene take all its other cameras as input, not K."
-    )
+    terms = published_terms()[protocol.name]
+    source = f"Grey: {terms.words} Methods that fit a scene take all its other cameras as input, not K."
     beyond = [
         f"{value.metric} {value.value} of {value.method} ({value.scene})"
         for value in values

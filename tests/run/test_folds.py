@@ -81,6 +81,8 @@ def test_folds_that_are_none_are_refused(line, message, tmp_path):
 class Rig:
     """As much of a capture as folds are made from."""
 
+    scene = "row"
+
     def camera(self, name):
         """Cameras in a row by their numbers."""
         return camera_at(float(name.removeprefix("cam")), name=name)

@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol, packaged_protocols
 from ggvs_eval.reports.tables.published import published_terms
 from helpers.captures import make_rig
+from helpers.refusals import refused
 
 PAPERS = [name for name, terms in published_terms().items() if terms.layouts]
 COMMUNITY = [name for name in published_terms() if name not in PAPERS]
@@ -49,12 +51,45 @@ def test_who_chose_the_views_is_said(name):
 def test_community_protocols_stand_apart_from_the_papers(name):
     """The authors' cameras are held out, at the published size, under a name of the data set that has no row of the paper."""
     protocol = load_protocol(name)
-    assert len(protocol.views.test) == (4 if name.startswith(("panoptic", "llff")) else 1)
+    counts = {"panoptic": {4}, "llff_3view": {4}, "llff_sparse": {3, 4, 5, 6, 7, 8}}
+    assert len(protocol.views.test) in next((count for key, count in counts.items() if name.startswith(key)), {1})
     assert protocol.dataset not in {load_protocol(paper).dataset for paper in PAPERS}
     assert protocol.views.keep_unsynced == (name in ("n3v_4dgs", "n3v_stg"))
-    if name.startswith("n3v_"):
+    if name.startswith("n3v_") and not name.endswith("_instant"):
         assert (protocol.frames.numbers, protocol.views.test) == (range(300), ("cam00",))
         assert (protocol.synthesis.width, protocol.synthesis.height) == (1352, 1014)
+
+
+@pytest.mark.parametrize(
+    ("scene", "sources"),
+    [
+        ("coffee_martini", "04 09 14"),
+        ("cut_roasted_beef", "05 10 15"),
+        ("flame_salmon_1", "05 09 14"),
+        ("sear_steak", "05 11 16"),
+    ],
+)
+def test_the_sources_of_a_scene_are_part_of_the_protocol(scene, sources):
+    """RF-DeRF's three cameras of each scene; the protocol, and so its hash, is the same."""
+    views = load_protocol("n3v_sparse3").views
+    assert views.sources_of(scene) == tuple(f"cam{number}" for number in sources.split())
+
+
+def test_a_scene_without_named_sources_is_refused():
+    """Its sources are not guessed: the scenes are listed, with the way out."""
+    with refused(ProtocolError, "coffee_martini", "got the scene kitchen", "rename its folder"):
+        load_protocol("n3v_sparse2").views.sources_of("kitchen")
+
+
+@pytest.mark.parametrize("name", [name for name in COMMUNITY if "_sparse" in name])
+def test_sparse_protocols_show_as_many_cameras_as_they_say(name):
+    """No test view is among the sources, and K is their number."""
+    views, synthesis = load_protocol(name).views, load_protocol(name).synthesis
+    lists = [entry.sources for entry in views.of_scenes] or [views.sources]
+
+    assert {len(sources) for sources in lists} == {synthesis.k}
+    assert name.startswith((f"n3v_sparse{synthesis.k}", f"llff_sparse{synthesis.k}"))
+    assert not any(set(sources) & set(views.test) for sources in lists)
 
 
 @pytest.mark.parametrize(

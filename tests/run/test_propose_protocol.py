@@ -93,6 +93,8 @@ def test_published_protocols_are_those_whose_cameras_a_capture_has():
     alike = replace(rig_of(), cameras=tuple(cameras), n_frames=300)
     assert not published_protocols(replace(alike, n_frames=40))
     assert {each.name for each in published_protocols(alike)} == {"n3v_3dgstream", "n3v_4dgs", "n3v_queen", "n3v_stg"}
+    steak = {each.name for each in published_protocols(replace(alike, scene="flame_steak"))}
+    assert {name for name in steak if "sparse" in name} == {"n3v_sparse2", "n3v_sparse3", "n3v_sparse4"}
     wide = replace(alike, cameras=tuple(camera.resized(1920, 1080) for camera in cameras))
     assert {each.name for each in published_protocols(wide)} == {"meetroom_3dgstream"}
     assert not published_protocols(rig_of())
