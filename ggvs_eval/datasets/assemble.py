@@ -6,11 +6,10 @@ pictures the frames are; known faults of public scenes and cameras are reported 
 
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,18 +18,14 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
+from ggvs_eval.datasets.instants import align_instants
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.names import Number, is_inside, listed
+from ggvs_eval.files.names import is_inside, listed
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.files.video import DEINTERLACE, VideoFrames
 from ggvs_eval.lens import LARGEST_OFFSET, Lens
 
-# Image folders do not say their rate; every capture published in this layout was recorded at this one.
-FOLDER_FPS = 30.0
-# Of constant rates that are one: what averages are rounded by, a fifth of what 29.97 is off 30.
-LARGEST_DIFFERENCE = 2e-4
-LARGEST_LAG = 0.5  # steps between frames of one number, where rates vary: farther off, the next frame is nearer
 CROP_FILE = "crop.toml"
 UNNAMED = "capture"  # the folder that `evaluate` writes into OUT, whose name is the scene's
 AS_STORED = "read as stored, which the calibration matches"
@@ -86,22 +81,19 @@ def assemble_capture(
     if unfit:
         raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
     sources = [as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)]
-    sources, aligned = align_numbers(path, dict(zip(names, sources, strict=True)), has_extras=bool(extras))
-    by_name = dict(zip(names, sources, strict=True))
-    n_frames = common_count(path, by_name)
-    rate = fps or common_rate(path, by_name)
+    aligned = align_instants(path, dict(zip(names, sources, strict=True)), extras, fps)
     return Capture(
         scene=scene or (parent if name == UNNAMED and parent else name),
         layout=layout,
         path=path,
         cameras=tuple(_fit_camera(camera, source, path) for camera, source in zip(cameras, sources, strict=True)),
-        sources=tuple[FrameSource, ...](sources),
-        n_frames=n_frames,
-        fps=rate if n_frames > 1 else 0.0,
+        sources=tuple[FrameSource, ...](aligned.sources.values()),
+        n_frames=next(iter(aligned.sources.values())).n_frames,
+        fps=aligned.fps,
         units_per_metre=units.per_metre,
         units_origin=units.origin,
-        extras=tuple(extras),
-        notes=(*notes, *aligned, *_notes(cameras, sources)),
+        extras=tuple(aligned.extras),
+        notes=(*notes, *aligned.notes, *_notes(cameras, sources)),
         test_views=tuple(test_views),
     )
 
@@ -119,7 +111,6 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
         largest = max(camera.deviation for camera in slanted)
         of = listed([camera.name for camera in slanted])
         notes.append(f"rotations of {of} are off by up to {largest:.1e}: replaced by the nearest rotations")
-    notes += uneven_notes({camera.name: source for camera, source in zip(cameras, sources, strict=True)})
     sentences: dict[str, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
         files = list(source_chain(source))[-1]
@@ -168,129 +159,6 @@ def _check_K_is_of(camera: Camera, frames: Size, path: Path) -> None:
             f"{path}: K of {camera.name} is of {frames[0]} x {frames[1]} images, by its principal point {point}, its file says "
             f"{camera.width} x {camera.height}: correct the size, or K"
         )
-
-
-def align_numbers(
-    path: Path, sources: Mapping[str, SizedSource], has_extras: bool = False
-) -> tuple[list[SizedSource], list[str]]:
-    """Frames of equal numbers under one index, where all cameras are folders of as many numbered images; with a note.
-
-    Cameras that count from 0 and others that count from 1 are taken to begin together. Time stamps are each camera's own, and so
-    frames in their order are one instant.
-
-    Raises:
-        CaptureError: cameras without a common number, or masks or depth with another number of images.
-    """
-    unchanged = list(sources.values())
-    images = {name: list(source_chain(source))[-1] for name, source in sources.items()}
-    counted = {
-        name: each.numbers
-        for name, each in images.items()
-        if isinstance(each, ImageFrames) and each.n_frames > 1 and each.numbers
-    }
-    if len(counted) < len(sources) or len({len(numbers) for numbers in counted.values()}) > 1:
-        return unchanged, []
-    ranges: dict[tuple[Number, ...], list[str]] = {}
-    for name, numbers in counted.items():
-        ranges.setdefault(numbers, []).append(name)
-    if len(ranges) == 1:
-        return unchanged, []
-    shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
-    if {numbers[0] for numbers in ranges} == {0, 1} and len({_steps(numbers) for numbers in ranges}) == 1:
-        return unchanged, [f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"]
-    common = set.intersection(*(set(numbers) for numbers in ranges))
-    if not common or has_extras:
-        raise CaptureError(
-            f"{path}: wanted cameras with {'equal' if common else 'common'} frame numbers, got {shown}; if they begin together, "
-            "number all from one frame on"
-        )
-    note = f"frames {min(common)} to {max(common)}, which all cameras have, are taken ({shown})"
-    return [_only(source, common) for source in unchanged], [note]
-
-
-def _only(source: Any, common: set[Number]) -> Any:
-    """A source, behind whatever is done to its frames, with the images of these numbers alone."""
-    if hasattr(source, "source"):
-        return replace(source, source=_only(source.source, common))
-    kept = tuple((number, file) for number, file in zip(source.numbers, source.files, strict=True) if number in common)
-    return ImageFrames(source.path, numbered=kept, as_stored=source.as_stored)
-
-
-def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
-    """Return the number of frames of every camera."""
-    counts = {name: source.n_frames for name, source in sources.items()}
-    if len(set(counts.values())) > 1:
-        shown = listed([f"{name} {count}" for name, count in counts.items()])
-        raise CaptureError(f"{path}: wanted one frame count for all cameras, got {shown}; cut them to a common length")
-    return next(iter(counts.values()))
-
-
-def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
-    """Return the frame rate of a rig whose cameras have equally many frames.
-
-    Raises:
-        CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
-
-    Reading:
-        The average of a variable rate says little: phones that are started together keep step while their averages differ, and
-        cameras that each drop a frame have equal ones. So the times of equal frame numbers are compared, each camera's counted
-        from its first frame.
-    """
-    videos = _videos(sources)
-    rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
-    rate, differ = float(np.mean(list(rates.values()))), np.ptp(list(rates.values())) > LARGEST_DIFFERENCE * max(rates.values())
-    lag_s = largest_lag_s(sources) if any(video and video.uneven for video in videos.values()) else None
-    if lag_s is None and not differ:
-        return round(rates[next(iter(rates))], 2)
-    if lag_s is not None and lag_s <= LARGEST_LAG / rate:
-        return round(rate, 2)
-    if lag_s is not None and (gaps := _gaps(videos)):
-        nominal = 1 / min(np.median(np.diff(video.times_s)) for video in videos.values() if video)
-        raise CaptureError(
-            f"{path}: wanted frames of one number within half a step in time, got {1000 * lag_s:.0f} ms: {'; '.join(gaps)}; "
-            f"write each such video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut "
-            "all to one length"
-        )
-    shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
-    apart = f" with frames of one number up to {1000 * lag_s:.0f} ms apart" if lag_s is not None else ""
-    raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}{apart}; convert them to one rate")
-
-
-def _gaps(videos: Mapping[str, VideoFrames | None]) -> list[str]:
-    """The instants that cameras lack, by their times: steps of one and a half median ones and more."""
-    cameras: dict[str, list[str]] = {}
-    for name, times_s in ((name, video.times_s) for name, video in videos.items() if video):
-        steps_s = np.diff(times_s)
-        step_s = np.median(steps_s) if len(steps_s) else 0.0
-        lacking_s = times_s[:-1][steps_s > 1.5 * step_s] + step_s
-        if len(lacking_s):
-            cameras.setdefault(f"at {listed([f'{time_s:.3f}' for time_s in lacking_s])} s", []).append(name)
-    return [f"{listed(names)} lack{'s' * (len(names) == 1)} the frame {when}" for when, names in cameras.items()]
-
-
-def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:
-    """Return the largest distance in time of frames of one number, by the videos' time stamps; None if some are no videos."""
-    times = [video.times_s for video in _videos(sources).values() if video]
-    if len(times) < len(sources):
-        return None
-    return float(np.ptp(np.stack(times), axis=0).max())
-
-
-def uneven_notes(sources: Mapping[str, FrameSource]) -> list[str]:
-    """Note cameras of a variable frame rate, and the time between their frames of one number."""
-    steps = [f"{name} ({video.uneven})" for name, video in _videos(sources).items() if video and video.uneven]
-    lag_s = largest_lag_s(sources) if steps else None
-    apart = f"; their times differ by up to {1000 * lag_s:.1f} ms" if lag_s is not None else ""
-    taken = "frame t of each camera counts as one instant, regardless of its time"
-    return [f"variable frame rate in {listed(steps)}: {taken}{apart}"] if steps else []
-
-
-def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
-    """Return the video of each camera, also behind an undistortion; None if its frames are images."""
-    return {
-        name: next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
-        for name, source in sources.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -426,7 +294,3 @@ def known_depths(layout: str, scene: str) -> tuple[float, float] | None:
 @cache
 def _known() -> dict[str, Any]:
     return tomllib.loads((resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8"))
-
-
-def _steps(numbers: Sequence[Number]) -> tuple[Number, ...]:
-    return tuple(later - earlier for earlier, later in pairwise(numbers))

@@ -112,11 +112,11 @@ def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
     if edit == CaptureEdit():
         return capture
     named = zip(capture.camera_names, capture.sources, strict=True)
-    held = capture.extras if not edit.hold_frames else tuple(_held_extras(extras, edit) for extras in capture.extras)
+    instants = (edit.hold_frame,) * edit.hold_frames or tuple(range(capture.n_frames))
     return replace(
         capture,
-        sources=tuple(_edited(name, source, edit) for name, source in named),
-        extras=held,
+        sources=tuple(_noisy(name, picked(source, instants), edit) for name, source in named),
+        extras=tuple(picked_extras(extras, instants) for extras in capture.extras),
         n_frames=edit.hold_frames or capture.n_frames,
         edit=edit,
         notes=(*capture.notes, _describe(edit)),
@@ -137,18 +137,19 @@ def _check(capture: Capture, edit: CaptureEdit) -> None:
         raise CaptureError(f"{capture.path}: wanted an unmodified capture, got one with held frames or noise; open it again")
 
 
-def _edited(name: str, source: FrameSource, edit: CaptureEdit) -> FrameSource:
-    held = _held(source, edit) if edit.hold_frames else source
-    return NoisyFrames(held, name, edit.sensor_noise_255, edit.noise_seed) if edit.sensor_noise_255 else held
+def _noisy(name: str, source: FrameSource, edit: CaptureEdit) -> FrameSource:
+    return NoisyFrames(source, name, edit.sensor_noise_255, edit.noise_seed) if edit.sensor_noise_255 else source
 
 
-def _held_extras(extras: Extras, edit: CaptureEdit) -> Extras:
+def picked(source: FrameSource | DepthSource, indices: tuple[int, ...]) -> Any:
+    """Return a source at some instants; the source itself if these are all."""
+    return source if indices == tuple(range(source.n_frames)) else PickedFrames(source, indices)
+
+
+def picked_extras(extras: Extras, indices: tuple[int, ...]) -> Extras:
+    """Return masks and depth at some instants, and the background."""
     mask, depth = extras.mask, extras.depth
-    return replace(extras, mask=mask and _held(mask, edit), depth=depth and _held(depth, edit))
-
-
-def _held(source: FrameSource | DepthSource, edit: CaptureEdit) -> PickedFrames:
-    return PickedFrames(source, (edit.hold_frame,) * edit.hold_frames)
+    return replace(extras, mask=mask and picked(mask, indices), depth=depth and picked(depth, indices))
 
 
 def _describe(edit: CaptureEdit) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, Extras, FrameSource
-from ggvs_eval.datasets.capture_edit import PickedFrames
+from ggvs_eval.datasets.capture_edit import picked, picked_extras
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_values
@@ -141,14 +141,14 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
     n_frames = capture.n_frames - latest + min(each.offset_frames for each in chosen)
     if n_frames < 1:
         raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
-    starts = [latest - each.offset_frames for each in chosen]
+    instants = [tuple(range(start, start + n_frames)) for start in (latest - correction.offset_frames for correction in chosen)]
     sources = [
-        _corrected(source, range(start, start + n_frames), each.gain)
-        for source, start, each in zip(capture.sources, starts, chosen, strict=True)
+        _corrected(picked(source, frames), correction.gain)
+        for source, frames, correction in zip(capture.sources, instants, chosen, strict=True)
     ]
     extras = [
-        _corrected_extras(extra, range(start, start + n_frames), each.gain)
-        for extra, start, each in zip(capture.extras, starts, chosen, strict=False)
+        _corrected_extras(picked_extras(extra, frames), correction.gain)
+        for extra, frames, correction in zip(capture.extras, instants, chosen, strict=False)
     ]
     note = f"corrected by {file.name}: {describe_corrections(corrections)}"
     return replace(
@@ -161,19 +161,13 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
     )
 
 
-def _corrected(source: FrameSource, frames: range, gain: tuple[float, ...]) -> FrameSource:
-    """Return some frames of a source, divided by a gain; the source itself where that changes nothing."""
-    picked = source if frames == range(source.n_frames) else PickedFrames(source, tuple(frames))
-    return picked if gain == NO_GAIN else CorrectedFrames(picked, gain)
+def _corrected(source: FrameSource, gain: tuple[float, ...]) -> FrameSource:
+    """Return a source divided by a gain; the source itself where that changes nothing."""
+    return source if gain == NO_GAIN else CorrectedFrames(source, gain)
 
 
-def _corrected_extras(extras: Extras, frames: range, gain: tuple[float, ...]) -> Extras:
-    background, mask, depth = extras.background, extras.mask, extras.depth
-    return Extras(
-        background=background and _corrected(background, range(background.n_frames), gain),
-        mask=mask and _corrected(mask, frames, NO_GAIN),
-        depth=depth and PickedFrames(depth, tuple(frames)),
-    )
+def _corrected_extras(extras: Extras, gain: tuple[float, ...]) -> Extras:
+    return replace(extras, background=extras.background and _corrected(extras.background, gain))
 
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> str:

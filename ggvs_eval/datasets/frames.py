@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
 from typing import TypeVar
 
 from ggvs_eval.arrays import Image8
@@ -17,7 +16,7 @@ from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
-from ggvs_eval.files.names import Fields, Number, is_stamp, numbers_in
+from ggvs_eval.files.names import Number, is_stamp, numbers_in
 from ggvs_eval.files.picture_header import SEEN_THROUGH, UPRIGHT, PictureHeader, read_picture_header, transparent_share
 from ggvs_eval.files.plain import NotPlainError
 from ggvs_eval.files.video import VideoFrames
@@ -26,7 +25,6 @@ Source = TypeVar("Source")
 LISTED = 5
 JPEG = (".jpg", ".jpeg")
 COLOUR = re.compile(r"(?<![a-z])(rgba?|colou?r|image|img|frame)(?![a-z])", re.I)  # words for pictures that a camera took
-LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median a frame is missing
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class ImageFrames:
 
     A folder's frames are its images in the order of the numbers in their names (`numbers_in`), whether they count from 0 or 1,
     with or without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames
-    in time. Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
+    in time. Times, which are clocks and numbers with a fraction or of ten digits and more, say where a frame is missing.
 
     Attributes:
         path: folder of images, or one image.
@@ -80,13 +78,11 @@ class ImageFrames:
 
     @cached_property
     def numbers(self) -> tuple[Number, ...]:
-        """The numbers of the images in the order of time; none of a single image, nor of time stamps, which are measured."""
-        files = self.files
+        """The numbers of the images in the order of time, or their times; none of a single image."""
         if self.numbered:
             return tuple(sorted(number for number, _ in self.numbered))
-        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in files])
-        counts = tuple(number for number in numbers if number is not None and not is_stamp(number))
-        return counts if len(counts) == len(files) else ()
+        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in self.files])
+        return tuple(number for number in numbers if number is not None)
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -166,10 +162,9 @@ class ImageFrames:
 
     def _check_steps(self, ordered: Sequence[Number]) -> None:
         steps = [later - earlier for earlier, later in pairwise(ordered)]
-        if not steps or any(isinstance(number, Fields) for number in ordered):
+        if not steps or any(map(is_stamp, ordered)):
             return
-        longest = LARGEST_STEP * median(map(float, steps)) if any(map(is_stamp, ordered)) else float(min(steps))
-        gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > longest]
+        gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > min(steps)]
         if gaps:
             listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")
             unread = unread_pictures(self.path)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from ggvs_eval.datasets.assemble import CROP_FILE
+from ggvs_eval.datasets.time_tables import TIMES
 from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 
@@ -15,7 +16,6 @@ OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrins
 # Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
 OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
-TIMES = re.compile(r"time|stamp|sync", re.I)
 TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
 LISTED = 8
 

@@ -2,9 +2,11 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from datetime import datetime
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import PurePosixPath
+from statistics import median
 from typing import Any
 
 Number = int | Decimal
@@ -14,6 +16,12 @@ LAST = re.compile(r"(.*?)(?:(?<![\d.])(\d+)\.)?(\d+)\D*", re.DOTALL)
 LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
 LISTED = 24
 STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
+# A time of day, its fields parted by one character or, behind a date, by none; milliseconds or finer may follow.
+CLOCK = re.compile(
+    r"(?<!\d)(?:((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_T ]+)?"
+    r"(\d\d)([-_:.]?)(\d\d)\5(\d\d)(?:[-_.:,]?(\d{3}(?:\d{3}){,2}))?(?!\d)"
+)
+SHORTEST_STEP_S = 0.002  # of a clock; finer fields count
 
 
 class Fields(int):
@@ -25,7 +33,8 @@ def numbers_in(stems: Sequence[str], are_of_one: bool = True) -> list[Number | N
 
     It is the last number of a name, unless that is the same in all of them, as the size of the pictures is: then the last that
     varies. Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text
-    before the point is the same in all of them, and the digits behind it count. Where the order of that number is not the order
+    before the point is the same in all of them, and the digits behind it count. Times of day are read in seconds, see
+    `clock_s`. Where the order of that number is not the order
     of the names' numbers from left to right, or it repeats, as the thousandths of a clock do, all those that vary are one.
 
     Args:
@@ -40,8 +49,10 @@ def numbers_in(stems: Sequence[str], are_of_one: bool = True) -> list[Number | N
         >>> numbers_in(["10.75", "11.0"]), numbers_in(["cam01.0009", "cam01.0010"])
         ([Decimal('10.75'), 11], [9, 10])
         >>> numbers_in(["view_1_64x48", "view_2_64x48"]), numbers_in(["10-59-59-800", "11-00-00-000"])
-        ([1, 2], [105959800, 110000000])
+        ([1, 2], [Decimal('39599.800'), Decimal('39600.000')])
     """
+    if are_of_one and (clock := _clock_times(stems)):
+        return clock
     numbers = _last_numbers(stems)
     parts = [list(re.finditer(r"\d+", stem)) for stem in stems]
     if len({re.sub(r"\d+", "0", stem) for stem, fields in zip(stems, parts, strict=True) if fields}) != 1:
@@ -60,6 +71,34 @@ def numbers_in(stems: Sequence[str], are_of_one: bool = True) -> list[Number | N
     return [
         Fields("".join(fields[index][0].zfill(width) for index, width in widths.items())) if fields else None for fields in parts
     ]
+
+
+def clock_s(text: str) -> Decimal | None:
+    """Return the time of day that a text states, seconds since midnight or, with a date, since 1970; None if there is none.
+
+    Reading:
+        Three fields alone may count anything: without a date, milliseconds or finer belong to a clock.
+
+    Examples:
+        >>> clock_s("cam0_10-59-59-933"), clock_s("2026-05-01_10-59-59"), clock_s("shot_01_02_03")
+        (Decimal('39599.933'), Decimal('1777633199'), None)
+    """
+    match = CLOCK.search(text)
+    if not match or not (match[1] or (match[5] and match[8])):
+        return None
+    year, month, day, hour, _, minute, second, fraction = match.groups()
+    try:
+        instant = datetime.fromisoformat(f"{year or 1970}-{month or '01'}-{day or '01'}T{hour}:{minute}:{second}+00:00")
+    except ValueError:
+        return None
+    return Decimal(f"{instant.timestamp():.0f}.{fraction}" if fraction else f"{instant.timestamp():.0f}")
+
+
+def _clock_times(stems: Sequence[str]) -> list[Number | None]:
+    """Return the times of day in names that all have one and go in steps of frames; nothing of others."""
+    times = [time for time in map(clock_s, stems) if time is not None]
+    steps_s = [later - earlier for earlier, later in pairwise(sorted(times))]
+    return [*times] if len(times) == len(stems) > 1 and median(steps_s) >= SHORTEST_STEP_S else []
 
 
 def _ranks(keys: Sequence[Any]) -> list[int]:

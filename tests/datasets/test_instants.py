@@ -1,8 +1,12 @@
-"""One index shows one instant in all cameras: by the numbers of pictures, and by the times of videos."""
+"""One index shows one instant in all cameras: by tables of times, numbers and times of pictures, and times of videos."""
 
+import numpy as np
 import pytest
 
+from ggvs_eval.capture import Extras
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.instants import align_instants
+from ggvs_eval.datasets.time_tables import read_times
 from ggvs_eval.files.images import write_image
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, refusal, write_poses, write_timed_video
 
@@ -14,6 +18,114 @@ def numbered(folder, first):
         for number in range(first(index), first(index) + N_FRAMES):
             write_image(folder / "frames" / name / f"{number:04d}.png", make_image(index, number % 10))
     return folder
+
+
+def instants(folder, times_s, stem):
+    """A rig whose camera i has frames at times_s[i]; the mark of a frame is the second that is nearest."""
+    write_poses(folder, make_rig())
+    for index, name in enumerate(NAMES):
+        for time_s in times_s[index]:
+            write_image(folder / "frames" / name / f"{stem(time_s)}.png", make_image(index, round(time_s)))
+    return folder
+
+
+def clock(time_s):
+    """Ten seconds before eleven o'clock, and what follows."""
+    minutes, milliseconds = divmod(round(1000 * (time_s + 50)), 60_000)
+    return (
+        f"2026-05-01_{10 + (59 + minutes) // 60}-{(59 + minutes) % 60:02d}-{milliseconds // 1000:02d}-{milliseconds % 1000:03d}"
+    )
+
+
+def assert_in_step(capture, seconds):
+    """Every camera shows these seconds, by the marks of its frames."""
+    for name in capture.camera_names:
+        marks = [int(capture.frame(name, frame)[0, 0, 0]) for frame in range(capture.n_frames)]
+        assert marks == [30 + 20 * second for second in seconds], name
+
+
+# Cameras of one clock that are not triggered together: the second begins later, the third lost the fifth second.
+FREE = [(0.0, 1.0, 2.0, 3.0, 4.0, 5.0), (2.1, 2.9, 4.1, 5.2), (0.3, 1.3, 2.3, 3.3, 5.3), (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)]
+
+
+@pytest.mark.parametrize(
+    "stem",
+    [clock, lambda time_s: f"{1.7e9 + time_s:.6f}", lambda time_s: f"{10**18 + round(1e9 * time_s)}"],
+    ids=["clock", "s", "ns"],
+)
+def test_times_in_names_align_cameras(tmp_path, stem):
+    """The nearest frames are one instant; those without a partner are left out, and a note counts them."""
+    capture = open_capture(instants(tmp_path / "room", FREE, stem))
+    assert_in_step(capture, [2, 3, 5])
+    note = (
+        "3 instants that all cameras have are taken, by the times in the names of pictures; left out: cam00 3 of 6, cam01 1 of 4"
+    )
+    assert any(line.startswith(note) for line in capture.notes)
+    assert "time jumps after frame 1, by the times in the names of pictures" in capture.notes
+
+
+def test_times_without_a_common_instant_are_refused(tmp_path):
+    """With the range of each; cameras that begin together open once they are numbered from one frame on, as the message says."""
+    times_s = [(0.0, 1.0, 2.0)] * 3 + [(7.0, 8.0, 9.0)]
+    message = refusal(instants(tmp_path / "room", times_s, clock))
+    assert "wanted cameras with a common instant, by the times in the names of pictures" in message
+    assert message.endswith("if they begin together, number all from one frame on")
+    for name in NAMES:
+        for number, file in enumerate(sorted((tmp_path / "room" / "frames" / name).iterdir())):
+            file.rename(file.with_name(f"{number}.png"))
+    assert open_capture(tmp_path / "room").n_frames == 3
+
+
+LONG = "\n".join(f"{index},{frame},{100 + time_s:.4f}" for index, times in enumerate(FREE) for frame, time_s in enumerate(times))
+WIDE = "\n".join(
+    ",".join(f"{times[frame]:.4f}" if frame < len(times) else "" for times in FREE) for frame in range(max(map(len, FREE)))
+)
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"timestamps.csv": f"cam_id,frame_index,frame_time\n{LONG}"},
+        {"timestamps.txt": "\n".join(f"{NAMES[int(line[0])]} {line[4:]}" for line in LONG.splitlines())},
+        {"sync/times.txt": f"# {','.join(NAMES)}\n{WIDE}"},
+        {
+            f"times/{name}.txt": "\n".join(f"{row} {time_s:.4f}" for row, time_s in enumerate(FREE[index]))
+            for index, name in enumerate(NAMES)
+        },
+        {
+            f"frames/{name}/stamps.csv": "t,stamp\n" + "\n".join(f"0,{clock(time_s)}" for time_s in FREE[index])
+            for index, name in enumerate(NAMES)
+        },
+    ],
+    ids=["a row per frame", "without a head", "a column per camera", "a file per camera", "beside the frames"],
+)
+def test_tables_of_times_align_cameras(tmp_path, tables):
+    """Their frames are numbered in each camera for itself; a table that has another number of them is named, and not used."""
+    folder = tmp_path / "room"
+    write_poses(folder, make_rig())
+    for index, name in enumerate(NAMES):
+        for number, time_s in enumerate(FREE[index]):
+            write_image(folder / "frames" / name / f"{number:04d}.png", make_image(index, round(time_s)))
+    assert "wanted one frame count" in refusal(folder)
+    for file, text in tables.items():
+        (folder / file).parent.mkdir(exist_ok=True, parents=True)
+        (folder / file).write_text(text)
+    capture = open_capture(folder)
+    assert_in_step(capture, [2, 3, 5])
+    assert any(f"by the times in {next(iter(tables))}" in note for note in capture.notes)
+    assert not any("not used" in note for note in capture.notes)
+    (note,) = read_times(folder, dict.fromkeys(NAMES, 5)).notes
+    assert note.endswith("are not used: cam00 6 of 5 frames, cam01 4 of 5 frames, cam03 6 of 5 frames")
+
+
+def test_masks_and_depth_stay_with_their_frames(tmp_path):
+    """What belongs to a frame that is left out is left out."""
+    folder = instants(tmp_path / "room", FREE, clock)
+    sources = open_capture(folder).sources
+    files = {name: source.source for name, source in zip(NAMES, sources, strict=True)}
+    aligned = align_instants(folder, files, [Extras(mask=source) for source in files.values()])
+    for source, extras in zip(aligned.sources.values(), aligned.extras, strict=True):
+        assert np.array_equal(np.stack([*source.frames(0, 3)]), np.stack([*extras.mask.frames(0, 3)]))
 
 
 def timed(folder, dropped):
@@ -32,8 +144,9 @@ def test_cameras_that_begin_later_are_aligned_by_number(tmp_path):
     for frame in range(capture.n_frames):
         assert {int(capture.frame(name, frame)[0, 0, 0]) for name in NAMES} == {30 + 20 * (2 + frame)}
     (note,) = (note for note in capture.notes if "all cameras have" in note)
-    assert "frames 102 to 104" in note
-    assert "cam03 from 102 to 106" in note
+    assert note.startswith(
+        "3 instants that all cameras have are taken, by the numbers in the names of pictures; left out: cam00 2 of 5"
+    )
 
 
 def test_cameras_without_a_common_number_are_refused(tmp_path):

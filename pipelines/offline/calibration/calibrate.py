@@ -17,12 +17,12 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import common_count
+from ggvs_eval.capture import Capture, FrameSource
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.colmap_model import read_model, rig_of_views
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated
+from ggvs_eval.datasets.instants import align_instants
 from ggvs_eval.datasets.rig import pinhole_cameras
 from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CameraError, CaptureError
@@ -158,18 +158,18 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise CaptureError(f"{out}: wanted a new or empty folder for the calibration, got one with content; choose another")
     files = find_rig_frames(frames_folder)
-    common_count(frames_folder, files)
     if len(files) > MOST_CAMERAS:
         raise CaptureError(
             f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate directly with COLMAP"
         )
     files, given = _known(files, options)
+    aligned = align_instants(frames_folder, files)
     if strange := [name for name in options.own_lens if name not in files]:
         raise CaptureError(
             f"{frames_folder}: wanted cameras for --own-lens, got {', '.join(strange)}; there are {', '.join(files)}"
         )
     with atomic_folder(out) as unfinished:
-        images = write_instant(files, options.frame, unfinished / "work" / "images")
+        images = write_instant(files, options.frame, unfinished / "work" / "images", aligned.sources)
         result = run_worker(unfinished, out, _job(files, images, given, options))
         missing = _missing(images, result)
         if missing and (not options.allow_missing or len(images) - len(missing) < 2):
@@ -177,6 +177,9 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         shutil.move(unfinished / "work" / "sparse", unfinished / "sparse")
         registered = {name: file for name, file in files.items() if name not in missing}
         link_frames(registered, {name: unfinished / "work" / "images" / images[name] for name in registered}, unfinished)
+        for table in aligned.tables:
+            (unfinished / table).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(frames_folder / table, unfinished / table)
         if options.known_poses and given and all(camera.is_metric for camera in given.values()):
             (unfinished / UNITS_FILE).write_text("units_per_metre = 1.0\n", encoding="utf-8")
         calibration = _read(unfinished, out, missing, result)
@@ -310,12 +313,15 @@ def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], o
     }
 
 
-def write_instant(files: Mapping[str, CameraFrames], frame: int, folder: Path) -> dict[str, str]:
+def write_instant(
+    files: Mapping[str, CameraFrames], frame: int, folder: Path, sources: Mapping[str, FrameSource] | None = None
+) -> dict[str, str]:
     """Write one image per camera.
 
     Args:
         frame: the instant, from 0.
         folder: where to; made.
+        sources: the frames of the instants that all cameras have; those of the files when None.
 
     Returns:
         Camera -> name of its image: the camera's name, with the suffix of its file where that is a single upright image, which is
@@ -324,9 +330,10 @@ def write_instant(files: Mapping[str, CameraFrames], frame: int, folder: Path) -
     images = {}
     folder.mkdir(parents=True)
     for name, file in files.items():
-        if frame >= file.n_frames:
-            raise CaptureError(f"{file.path}: wanted frame {frame}, it has {file.n_frames}; choose an earlier frame")
-        image = next(file.frames(frame, frame + 1))
+        source = (sources or files)[name]
+        if frame >= source.n_frames:
+            raise CaptureError(f"{file.path}: wanted frame {frame}, it has {source.n_frames}; choose an earlier frame")
+        image = next(source.frames(frame, frame + 1))
         is_copied = isinstance(file, ImageFrames) and file.path.is_file() and not file.orientations
         images[name] = f"{name}{file.path.suffix if is_copied else '.png'}"
         if images[name].lower().endswith(".png"):

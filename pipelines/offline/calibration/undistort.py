@@ -15,12 +15,12 @@ import numpy as np
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.assemble import common_count, common_rate
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.calibration_readers import FileCamera
-from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
+from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
 from ggvs_eval.datasets.entries import plain_numbers
+from ggvs_eval.datasets.instants import align_instants
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files import pickle_reader
@@ -194,12 +194,12 @@ def _of_capture(path: Path) -> list[_Stream]:
 
 def _of_files(folder: Path, lens_file: Path) -> list[_Stream]:
     files = find_rig_frames(folder)
-    rate = common_rate(folder, files) if common_count(folder, files) > 1 else 0.0
+    aligned = align_instants(folder, files)
     lenses = read_lenses(lens_file, {name: file.size for name, file in files.items()})
-    return [_stream(name, file, lenses[name], rate) for name, file in files.items()]
+    return [_stream(name, source, lenses[name], aligned.fps) for name, source in aligned.sources.items()]
 
 
-def _stream(name: str, file: CameraFrames, lens_and_target: LensAndTarget, rate: float) -> _Stream:
+def _stream(name: str, file: FrameSource, lens_and_target: LensAndTarget, rate: float) -> _Stream:
     lens, count = lens_and_target.lens, file.n_frames
     frames: FrameSource = file if lens.is_pinhole else UndistortedFrames(file, lens, lens_and_target.K)
     pinhole = Lens(lens_and_target.K, "opencv", (0.0,) * 4, lens.width, lens.height)

@@ -1,0 +1,191 @@
+"""One index shows one instant in all cameras: by the times of frames or the numbers of pictures, else by their order."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.capture import Extras, FrameSource, source_chain
+from ggvs_eval.datasets.capture_edit import picked, picked_extras
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.time_tables import read_times
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.names import Fields, Number, is_stamp, listed
+from ggvs_eval.files.video import VideoFrames
+
+# Image folders do not say their rate; every capture published in this layout was recorded at this one.
+FOLDER_FPS = 30.0
+# Of constant rates that are one: what averages are rounded by, a fifth of what 29.97 is off 30.
+LARGEST_DIFFERENCE = 2e-4
+LARGEST_LAG = 0.5  # steps between frames of one instant: farther off, the next frame is nearer
+GAP_STEPS = 1.5  # at twice a step a frame is missing
+
+
+class Aligned(NamedTuple):
+    """Cameras whose frames of one index are of one instant.
+
+    Attributes:
+        sources: of the cameras by name, of equally many frames.
+        extras: of the cameras in their order, or none.
+        fps: frames per second; 0 of one frame.
+        tables: what says when the frames were taken, paths relative to the capture.
+    """
+
+    sources: Mapping[str, FrameSource]
+    extras: Sequence[Extras]
+    fps: float
+    notes: Sequence[str]
+    tables: Sequence[str] = ()
+
+
+def align_instants(
+    path: Path, sources: Mapping[str, FrameSource], extras: Sequence[Extras] = (), fps: float | None = None
+) -> Aligned:
+    """Bring frames of one instant under one index, masks and depth with them, and note what that leaves out.
+
+    Args:
+        path: of the capture; tables of times may lie there.
+        fps: frames per second where that is known.
+
+    Raises:
+        CaptureError: no instant that all cameras have; without times also unequal numbers of frames, or rates.
+
+    Reading:
+        Times go first, those of a table (`read_times`) before those in the names of pictures: the partner of a frame is the
+        nearest of each other camera, at most half a step away. Then the numbers in these names, if all cameras have as many;
+        cameras that count from 0 and others that count from 1 are taken to begin together. Else frames are in step.
+    """
+    table = read_times(path, {name: source.n_frames for name, source in sources.items()})
+    instants: Mapping[str, Any] = table.times or _numbers_in_names(sources)
+    are_times = bool(table.times) or any(is_stamp(number) for numbers in instants.values() for number in numbers)
+    if not instants or (len(set(map(len, instants.values()))) > 1 and not are_times):
+        n_frames = common_count(path, sources)
+        rate, notes = (fps, []) if fps else common_rate(path, sources)
+        return Aligned(sources, extras, rate if n_frames > 1 else 0.0, [*table.notes, *notes])
+    rate = fps or min(video.fps if video else FOLDER_FPS for video in _videos(sources).values())
+    ranges: dict[tuple[Any, ...], list[str]] = {}
+    for name, numbers in instants.items():
+        ranges.setdefault(tuple(numbers), []).append(name)
+    shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
+    if {numbers[0] for numbers in ranges} == {0, 1} and len({tuple(np.diff(row)) for row in ranges}) == 1 and not are_times:
+        note = f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"
+        return Aligned(sources, extras, rate, [note])
+    start = min(numbers[0] for numbers in ranges)
+    places = {name: np.array([float(number - start) for number in numbers]) for name, numbers in instants.items()}
+    step = min(float(np.median(np.diff(numbers))) for numbers in places.values())
+    partners = find_partners(places, LARGEST_LAG * step * are_times)
+    common = next(iter(partners.values()))
+    tables = listed(table.files)
+    origin = f"by the {'times' if are_times else 'numbers'} in {tables or 'the names of pictures'}"
+    if not common:
+        remedy = "number all from one frame on" + f", and move {tables} elsewhere" * bool(tables)
+        raise CaptureError(
+            f"{path}: wanted cameras with a common instant, {origin}, got {shown}; if they begin together, {remedy}"
+        )
+    left_out = [f"{name} {len(row) - len(common)} of {len(row)}" for name, row in places.items() if len(row) > len(common)]
+    notes = (
+        [f"{len(common)} instants that all cameras have are taken, {origin}; left out: {listed(left_out)}"] if left_out else []
+    )
+    gaps = np.flatnonzero(np.diff(next(iter(places.values()))[[*common]]) > GAP_STEPS * step)
+    notes += [f"time jumps after frame {listed(map(str, gaps))}, {origin}"] if len(gaps) else []
+    return Aligned(
+        {name: picked(source, partners[name]) for name, source in sources.items()},
+        [picked_extras(extra, partners[name]) for name, extra in zip(sources, extras, strict=False)],
+        rate if len(common) > 1 else 0.0,
+        notes,
+        table.files,
+    )
+
+
+def find_partners(places: Mapping[str, Array], tolerance: float) -> dict[str, tuple[int, ...]]:
+    """Return the frames of each camera that have a partner in every other camera, the nearest one.
+
+    Args:
+        places: when or at which number each frame is, ascending.
+        tolerance: largest distance of partners.
+
+    Examples:
+        >>> find_partners({"a": np.array([0.0, 1.0, 2.0, 3.0]), "b": np.array([0.1, 1.1, 3.1])}, 0.5)
+        {'a': (0, 1, 3), 'b': (0, 1, 2)}
+    """
+    reference = min(places.values(), key=len)
+    common = np.arange(len(reference))
+    nearest = {name: np.searchsorted((row[1:] + row[:-1]) / 2, reference) for name, row in places.items()}
+    for name, indices in nearest.items():
+        common = common[np.abs(places[name][indices[common]] - reference[common]) <= tolerance]
+        common = common[np.unique(indices[common], return_index=True)[1]]
+    return {name: tuple(indices[common].tolist()) for name, indices in nearest.items()}
+
+
+def _numbers_in_names(sources: Mapping[str, FrameSource]) -> dict[str, tuple[Number, ...]]:
+    """Return the numbers of the frames of each camera, none if some have none; those of several fields tell an order only."""
+    numbers = {}
+    for name, source in sources.items():
+        *_, files = source_chain(source)
+        numbers[name] = files.numbers if isinstance(files, ImageFrames) and files.n_frames > 1 else ()
+    is_told = all(len(numbers[name]) == source.n_frames for name, source in sources.items())
+    return numbers if is_told and not any(isinstance(row[0], Fields) for row in numbers.values()) else {}
+
+
+def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
+    """Return the number of frames of every camera."""
+    counts = {name: source.n_frames for name, source in sources.items()}
+    if len(set(counts.values())) > 1:
+        shown = listed([f"{name} {count}" for name, count in counts.items()])
+        raise CaptureError(f"{path}: wanted one frame count for all cameras, got {shown}; cut them to a common length")
+    return next(iter(counts.values()))
+
+
+def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> tuple[float, list[str]]:
+    """Return the frame rate of a rig whose cameras have equally many frames, and a note where it varies.
+
+    Raises:
+        CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
+
+    Reading:
+        The average of a variable rate says little: phones that are started together keep step while their averages differ, and
+        cameras that each drop a frame have equal ones. So the times of equal frame numbers are compared, each camera's counted
+        from its first frame.
+    """
+    videos = _videos(sources)
+    rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
+    uneven = [f"{name} ({video.uneven})" for name, video in videos.items() if video and video.uneven]
+    rate = float(np.mean(list(rates.values()))) if uneven else rates[next(iter(rates))]
+    differ = np.ptp(list(rates.values())) > LARGEST_DIFFERENCE * max(rates.values())
+    times_s = {name: video.times_s for name, video in videos.items() if video and uneven}
+    is_timed = len(times_s) == len(videos)
+    lag_s = float(np.ptp(np.stack([*times_s.values()]), axis=0).max()) if is_timed else 0.0
+    apart = f"{1000 * lag_s:.1f} ms"
+    if is_timed and lag_s > LARGEST_LAG / rate and (gaps := _gaps(times_s)):
+        nominal = 1 / min(np.median(np.diff(times)) for times in times_s.values())
+        raise CaptureError(
+            f"{path}: wanted frames of one number within half a step in time, got {apart}: {'; '.join(gaps)}; write each such "
+            f"video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut all to one "
+            "length"
+        )
+    if lag_s > LARGEST_LAG / rate or (differ and not is_timed):
+        shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
+        shown += f" with frames of one number up to {apart} apart" * is_timed
+        raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}; convert them to one rate")
+    taken = "frame t of each camera counts as one instant, regardless of its time"
+    note = f"variable frame rate in {listed(uneven)}: {taken}" + f"; their times differ by up to {apart}" * is_timed
+    return round(rate, 2), [note] if uneven else []
+
+
+def _gaps(times_s: Mapping[str, Array]) -> list[str]:
+    """The instants that cameras lack, by their times."""
+    cameras: dict[str, list[str]] = {}
+    for name, times in times_s.items():
+        steps = np.diff(times)
+        lacking = times[:-1][steps > GAP_STEPS * np.median(steps)] + np.median(steps)
+        if len(lacking):
+            cameras.setdefault(f"at {listed([f'{time_s:.3f}' for time_s in lacking])} s", []).append(name)
+    return [f"{listed(names)} lack{'s' * (len(names) == 1)} the frame {when}" for when, names in cameras.items()]
+
+
+def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
+    """Return the video of each camera, also behind an undistortion; None if its frames are images."""
+    files = {name: list(source_chain(source))[-1] for name, source in sources.items()}
+    return {name: file if isinstance(file, VideoFrames) else None for name, file in files.items()}
