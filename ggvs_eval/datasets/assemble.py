@@ -7,7 +7,7 @@ pictures the frames are; known faults of public scenes and cameras are reported 
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -82,18 +82,20 @@ def assemble_capture(
         raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
     sources = [as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)]
     aligned = align_instants(path, dict(zip(names, sources, strict=True)), extras, fps)
+    crop = given_crop(path)
+    cut = [f"frames begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}"] if crop else []
     return Capture(
         scene=scene or (parent if name == UNNAMED and parent else name),
         layout=layout,
         path=path,
-        cameras=tuple(_fit_camera(camera, source, path) for camera, source in zip(cameras, sources, strict=True)),
+        cameras=tuple(_fit_camera(camera, source, path, crop) for camera, source in zip(cameras, sources, strict=True)),
         sources=tuple[FrameSource, ...](aligned.sources.values()),
         n_frames=next(iter(aligned.sources.values())).n_frames,
         fps=aligned.fps,
         units_per_metre=units.per_metre,
         units_origin=units.origin,
         extras=tuple(aligned.extras),
-        notes=(*notes, *aligned.notes, *_notes(cameras, sources)),
+        notes=(*notes, *cut, *aligned.notes, *_notes(cameras, sources)),
         test_views=tuple(test_views),
     )
 
@@ -101,7 +103,7 @@ def assemble_capture(
 def check_rig_size(path: Path, n_cameras: int) -> None:
     """Refuse an implausibly large rig before anything is computed of it."""
     if n_cameras > LARGEST_RIG:
-        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; remove some")
+        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; give a part of them")
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
@@ -135,9 +137,12 @@ def _said_of(files: ImageFrames | VideoFrames) -> Iterator[tuple[str, str]]:
         yield f"frames of {{}} are read {change}", f" ({count} of {files.n_frames})"
 
 
-def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
-    """Return the camera at the size of its frames, which may be a uniformly scaled one."""
+def _fit_camera(camera: Camera, source: SizedSource, path: Path, crop: "Crop | None") -> Camera:
+    """Return the camera at the size of its frames, which may be a uniformly scaled one, or of a part."""
     width, height = source.size
+    if crop:
+        lens = crop_lens(camera.name, Lens(camera.K, "opencv", (0.0,) * 4, *camera.size), source.size, crop)
+        camera = replace(camera, K=lens.K, width=lens.width, height=lens.height)
     if (width, height) != camera.size:
         _check_K_is_of(camera, source.size, path)
     if not has_shape((width, height), camera.size):

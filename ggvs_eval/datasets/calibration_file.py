@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import CROP_FILE, assemble_capture, check_rig_size, given_crop
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.calibration_readers import (
     LARGEST_XML_BYTES,
     FileCamera,
@@ -134,33 +134,23 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         found = find_frames(folder, {name: f"{name}.png" for name in stems})
     frames = found.sources
     filmed = [file.cameras[name] for name in frames]
-    chosen = [camera for camera in filmed if camera.world_to_camera is not None]
-    if len(chosen) < 2:
+    poses = {camera.name: camera.world_to_camera for camera in filmed if camera.world_to_camera is not None}
+    placed = [camera for camera in filmed if camera.name in poses]
+    if len(placed) < 2:
         remedy = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
         raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(frames)}; {remedy}")
-    crop = given_crop(folder)
-    lenses = []
-    for camera in chosen:
+    rig = []
+    for camera in placed:
         try:
-            lenses.append(camera.lens(frames[camera.name].size, crop))
+            rig.append(RigCamera(camera.name, camera.lens(frames[camera.name].size), poses[camera.name]))
         except CameraError as error:
             raise CaptureError(f"{path}: {error}") from error
-    rig = [
-        RigCamera(camera.name, lens, camera.world_to_camera)
-        for camera, lens in zip(chosen, lenses, strict=True)
-        if camera.world_to_camera is not None
-    ]
     unplaced = [camera.name for camera in filmed if camera.world_to_camera is None]
     notes = [*found.notes, *([f"{listed(unplaced)} left out: calibrated, but without a pose"] if unplaced else [])]
-    cut = [
-        camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
-    ]
-    unknown = sorted({key for camera in chosen for key in camera.unknown})
+    unknown = sorted({key for camera in placed for key in camera.unknown})
     notes += [f"{path.name}: {listed(unknown)} unknown here, ignored"] if unknown else []
-    if cut and crop:
-        notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}")
-    sources = [frames[camera.name] for camera in chosen]
-    cameras, pinhole = pinhole_rig(rig, sources, path)
+    sources = [frames[camera.name] for camera in placed]
+    cameras, pinhole = pinhole_rig(rig, sources, path, folder)
     return assemble_capture(
         folder, kind, cameras, pinhole, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )

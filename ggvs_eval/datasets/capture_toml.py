@@ -114,7 +114,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     for camera, pose, source in zip(table.camera, poses, frames, strict=True):
         lens = _lens(file, camera, source.size, PIXEL_CENTRE if table.pixel_centre == "whole" else 0.0, crop)
         rig.append(RigCamera(camera.name, lens, pose, _near_far(file, camera)))
-    cameras, sources = pinhole_rig(rig, frames, file)
+    cameras, sources = pinhole_rig(rig, frames, file, file.parent)
     extras = [_extras(file, *each) for each in zip(table.camera, [one.lens for one in rig], cameras, sources, strict=True)]
     table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
     chosen = choose_units(file.parent, units, cameras, of_data_set=table_units)

@@ -65,7 +65,7 @@ def load_colmap(path: Path, units: GivenUnits, layout: str = "colmap") -> Captur
         views = dict(sorted((frames.sources[name].path.name, view) for name, view in views.items()))
         frames = frames._replace(sources={source.path.name: source for source in frames.sources.values()})
     sources = [frames.sources[name] for name in views]
-    cameras, pinhole = pinhole_rig(rig_of_views(views), sources, folder)
+    cameras, pinhole = pinhole_rig(rig_of_views(views), sources, folder, path)
     return assemble_capture(path, layout, cameras, pinhole, choose_units(path, units, cameras, median_depths=depths), notes=notes)
 
 

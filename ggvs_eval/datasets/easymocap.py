@@ -13,7 +13,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, given_crop
 from ggvs_eval.datasets.calibration_readers import FileCamera
 from ggvs_eval.datasets.camera_frames import CameraFrames, backgrounds, find_frames
 from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
@@ -117,7 +117,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     lenses = []
     for view, source in zip(views, sources, strict=True):
         try:
-            lenses.append(view.lens(source.size))
+            lenses.append(view.lens(source.size, given_crop(path)))
         except CameraError as error:
             raise CaptureError(f"{path / INTRINSICS}: {view.name}: {error} (as W_{view.name} and H_{view.name})") from error
     is_outdoor = (path / HULLS).is_dir()
@@ -126,7 +126,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     names = [view.name for view in views]
     rig = [RigCamera(*each, each[1].K) for each in zip(names, lenses, poses, depths, strict=True)]
     extras = _extras(path, dict(zip(names, lenses, strict=True)), sources[0].n_frames)
-    cameras, pinhole = pinhole_rig(rig, sources, path / EXTRINSICS)
+    cameras, pinhole = pinhole_rig(rig, sources, path / EXTRINSICS, path)
     chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
     return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras, notes=notes)
@@ -197,7 +197,7 @@ def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extra
         mask = undistorted(ImageFrames(folder / name), lens, lens.K) if folder and has_mask else None
         if mask is not None and mask.n_frames != n_frames:
             counts = f"{mask.n_frames} for {n_frames} frames"
-            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them or remove the folder")
+            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them, or move the folder elsewhere")
         extras.append(Extras(background=undistorted(pictures[name], lens, lens.K) if pictures else None, mask=mask))
     return extras
 

@@ -201,7 +201,7 @@ def load_immersive(path: Path, units: GivenUnits) -> Capture:
     filmed = [view for view in views if view.name in found.sources]
     depths = known_depths("immersive", path.resolve().name.partition("_")[0])
     rig = [view._replace(near_far=depths) for view in filmed]
-    cameras, pinhole = pinhole_rig(rig, [found.sources[view.name] for view in filmed], path / MODELS)
+    cameras, pinhole = pinhole_rig(rig, [found.sources[view.name] for view in filmed], path / MODELS, path)
     chosen = choose_units(path, units, cameras, of_data_set=METRIC)
     return assemble_capture(path, "immersive", cameras, pinhole, chosen, notes=found.notes)
 

@@ -20,6 +20,7 @@ FOLDER_FPS = 30.0
 # Of constant rates that are one: what averages are rounded by, a fifth of what 29.97 is off 30.
 LARGEST_DIFFERENCE = 2e-4
 LARGEST_LAG = 0.5  # steps between frames of one instant: farther off, the next frame is nearer
+SAME_TIME = 1e-3  # steps that rounded times are off
 GAP_STEPS = 1.5  # at twice a step a frame is missing
 
 
@@ -61,9 +62,8 @@ def align_instants(
     instants: Mapping[str, Any] = table.times or _numbers_in_names(sources)
     are_times = bool(table.times) or any(is_stamp(number) for numbers in instants.values() for number in numbers)
     if not instants or (len(set(map(len, instants.values()))) > 1 and not are_times):
-        n_frames = common_count(path, sources)
-        rate, notes = (fps, []) if fps else common_rate(path, sources)
-        return Aligned(sources, extras, rate if n_frames > 1 else 0.0, [*table.notes, *notes])
+        rate, notes = _common_rate(path, sources, fps)
+        return Aligned(sources, extras, rate, [*table.notes, *notes])
     rate = fps or min(video.fps if video else FOLDER_FPS for video in _videos(sources).values())
     ranges: dict[tuple[Any, ...], list[str]] = {}
     for name, numbers in instants.items():
@@ -129,49 +129,57 @@ def _numbers_in_names(sources: Mapping[str, FrameSource]) -> dict[str, tuple[Num
     return numbers if is_told and not any(isinstance(row[0], Fields) for row in numbers.values()) else {}
 
 
-def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
-    """Return the number of frames of every camera."""
-    counts = {name: source.n_frames for name, source in sources.items()}
-    if len(set(counts.values())) > 1:
-        shown = listed([f"{name} {count}" for name, count in counts.items()])
-        raise CaptureError(f"{path}: wanted one frame count for all cameras, got {shown}; cut them to a common length")
-    return next(iter(counts.values()))
+def _common_rate(path: Path, sources: Mapping[str, FrameSource], fps: float | None) -> tuple[float, list[str]]:
+    """Return the frame rate of cameras that are in step, 0 of one frame, and a note where it varies.
 
-
-def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> tuple[float, list[str]]:
-    """Return the frame rate of a rig whose cameras have equally many frames, and a note where it varies.
+    Args:
+        fps: the rate where it is known, whatever files say.
 
     Raises:
-        CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
+        CaptureError: unequal numbers of frames, constant rates that differ, variable ones where frames of one number differ by
+            over half a step: all of it in one line, with the command that mends it.
 
     Reading:
         The average of a variable rate says little: phones that are started together keep step while their averages differ, and
         cameras that each drop a frame have equal ones. So the times of equal frame numbers are compared, each camera's counted
-        from its first frame.
+        from its first frame. The command writes the lowest rate, which repeats no frame.
     """
     videos = _videos(sources)
+    counts = {name: source.n_frames for name, source in sources.items()}
+    shortest = min(counts.values())
     rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
     uneven = [f"{name} ({video.uneven})" for name, video in videos.items() if video and video.uneven]
-    rate = float(np.mean(list(rates.values()))) if uneven else rates[next(iter(rates))]
-    differ = np.ptp(list(rates.values())) > LARGEST_DIFFERENCE * max(rates.values())
     times_s = {name: video.times_s for name, video in videos.items() if video and uneven}
     is_timed = len(times_s) == len(videos)
-    lag_s = float(np.ptp(np.stack([*times_s.values()]), axis=0).max()) if is_timed else 0.0
+    rate = fps or (float(np.mean([*rates.values()])) if uneven else rates[next(iter(rates))])
+    lag_s = float(np.ptp(np.stack([times[:shortest] for times in times_s.values()]), axis=0).max()) if is_timed else 0.0
+    differ = np.ptp([*rates.values()]) > LARGEST_DIFFERENCE * max(rates.values())
     apart = f"{1000 * lag_s:.1f} ms"
-    if is_timed and lag_s > LARGEST_LAG / rate and (gaps := _gaps(times_s)):
-        nominal = 1 / min(np.median(np.diff(times)) for times in times_s.values())
-        raise CaptureError(
-            f"{path}: wanted frames of one number within half a step in time, got {apart}: {'; '.join(gaps)}; write each such "
-            f"video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut all to one "
-            "length"
-        )
-    if lag_s > LARGEST_LAG / rate or (differ and not is_timed):
-        shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
-        shown += f" with frames of one number up to {apart} apart" * is_timed
-        raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}; convert them to one rate")
+    faults = [f"one frame count for all cameras, got {_shown(counts)}"] if len(set(counts.values())) > 1 else []
+    if not fps and lag_s > LARGEST_LAG / rate and (gaps := _gaps(times_s)):
+        faults.append(f"frames of one number within half a step in time, got {apart}: {'; '.join(gaps)}")
+    elif not fps and (lag_s > LARGEST_LAG / rate or (differ and not is_timed)):
+        faults.append(f"one frame rate for all cameras, got {_shown(rates)}" + f", {apart} apart" * is_timed)
+    if faults:
+        raise CaptureError(f"{path}: wanted {'; and '.join(faults)}; {_remedy([*videos.values()], shortest)}")
     taken = "frame t of each camera counts as one instant, regardless of its time"
     note = f"variable frame rate in {listed(uneven)}: {taken}" + f"; their times differ by up to {apart}" * is_timed
-    return round(rate, 2), [note] if uneven else []
+    return round(rate, 2) if shortest > 1 else 0.0, [note] if uneven and not fps else []
+
+
+def _shown(values: Mapping[str, float]) -> str:
+    return listed(f"{name} {round(value, 2):g}" for name, value in values.items())
+
+
+def _remedy(videos: Sequence[VideoFrames | None], shortest: int) -> str:
+    """Return what brings cameras to one rate and length."""
+    times_s = [video.times_s for video in videos if video and video.n_frames > 1]
+    if len(times_s) < len(videos):
+        return f"cut all to a common length of {shortest} frames, at one rate"
+    step_s = max(float(np.median(np.diff(times))) for times in times_s)
+    n_frames = int(min(times[-1] for times in times_s) / step_s + SAME_TIME) + 1
+    command = f"ffmpeg -i IN -vf fps={1 / step_s:.5g} -frames:v {n_frames} -c:v libx264 -crf 12 OUT.mp4"
+    return f"write each video into a new folder by '{command}'"
 
 
 def _gaps(times_s: Mapping[str, Array]) -> list[str]:

@@ -185,9 +185,10 @@ def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
         )
     poses = read_llff_poses(file)
     if len(poses) != len(names):
+        remedy = f"restore the missing {'cameras' if len(poses) > len(names) else 'rows'}"
         raise CaptureError(
             f"{file}: wanted one row for each of the {len(names)} cameras on disk ({listed(names)}), got {len(poses)} rows; "
-            f"restore the missing {'cameras' if len(poses) > len(names) else 'rows'}"
+            f"{unread_videos(file.parent) or remedy}"
         )
     return [llff_camera(pose, name, file) for pose, name in zip(poses, names, strict=True)]
 

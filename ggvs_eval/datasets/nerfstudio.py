@@ -107,7 +107,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     test_views = [
         name for name in names if frames[name][SPLIT] == TEST or frames[name]["file_path"] in frames[name].get(TEST_IMAGES, ())
     ]
-    cameras, pinhole = pinhole_rig(rig, sources, files[0])
+    cameras, pinhole = pinhole_rig(rig, sources, files[0], path)
     return assemble_capture(
         path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=test_views
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, RangeOrigin
-from ggvs_eval.datasets.assemble import SizedSource
+from ggvs_eval.datasets.assemble import SizedSource, crop_lens, given_crop
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
@@ -47,16 +47,24 @@ def pinhole_cameras(rig: Sequence[RigCamera], file: Path) -> list[Camera]:
     return cameras
 
 
-def pinhole_rig(rig: Sequence[RigCamera], sources: Sequence[SizedSource], file: Path) -> tuple[list[Camera], list[SizedSource]]:
+def pinhole_rig(
+    rig: Sequence[RigCamera], sources: Sequence[SizedSource], file: Path, folder: Path
+) -> tuple[list[Camera], list[SizedSource]]:
     """Return the cameras and the frames of undistorted images.
 
     Args:
-        sources: frames of each camera, at the size of its calibration or uniformly scaled.
+        sources: frames of each camera, at the size of its calibration, uniformly scaled, or the part that ``crop.toml`` states.
         file: of the calibration, named in errors.
+        folder: of the capture.
     """
-    cameras = pinhole_cameras(rig, file)
-    lenses = [camera.lens for camera in rig]
-    return cameras, [undistorted(*each) for each in zip(sources, lenses, [camera.K for camera in cameras], strict=True)]
+    crop = given_crop(folder)
+    try:
+        lenses = [crop_lens(camera.name, camera.lens, source.size, crop) for camera, source in zip(rig, sources, strict=True)]
+    except CameraError as error:
+        raise CaptureError(f"{file}: {error}") from error
+    cameras = pinhole_cameras([camera._replace(lens=lens) for camera, lens in zip(rig, lenses, strict=True)], file)
+    pinholes = [camera.K for camera in cameras]
+    return cameras, [undistorted(source, lens, K) for source, lens, K in zip(sources, lenses, pinholes, strict=True)]
 
 
 def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:

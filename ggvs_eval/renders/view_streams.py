@@ -312,7 +312,7 @@ def _require_rate(path: Path, videos: Mapping[str, VideoFrames], request: FrameR
             remedy = f"-vf fps={request.fps:.6g} -frames:v {len(request.frames)} -crf 0"
             raise RenderError(
                 f"{path}: the video of {view} has {rates} and {request.n_frames}, so that frame k is not instant k; render the "
-                f"capture's instants, or repeat the nearest frames: ffmpeg -i {video.path.name} {remedy} OUT/{video.path.name}"
+                f"capture's instants, or repeat frames: ffmpeg -i {video.path.name} {remedy} OUT/{video.path.name}"
             )
 
 

@@ -45,7 +45,7 @@ def test_videos_of_different_lengths_are_bad(tmp_path):
     check = check_capture(tmp_path / "table")
     assert not check.is_usable
     assert "cam01 5, cam02 3" in check.findings[0].measured
-    assert "cut them to a common length" in check.findings[0].measured
+    assert "-frames:v" in check.findings[0].measured
 
 
 def test_one_video_is_no_rig(tmp_path):
