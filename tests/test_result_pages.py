@@ -127,7 +127,7 @@ def test_every_table_of_the_pages_is_made_by_a_measurement():
 def test_what_the_cards_say_is_on_the_pages():
     """How long networks learned and how well is on every page in the words and figures of the cards, and the marker says so."""
     told = [table for table in fill_tables.TABLES if table.measurement == fill_tables.CARDS]
-    assert sorted(table.name for table in told) == ["learned", "learned", "learned", "learned_table"]
+    assert sorted(table.name for table in told) == ["learned", "learned", "learned_table"]
     for table in told:
         assert table.place.search(table.page.read_text("utf-8"))[2].strip() == table.make()
         assert table.identity == fill_tables.CARDS
@@ -154,11 +154,11 @@ def test_the_readme_shows_the_run_that_the_other_pages_show():
         ]
         return {line[0]: dict(zip(head, line, strict=True)) for line in lines}
 
-    shown = rows(fill_tables.README, "real_frame") | rows(fill_tables.README, "reduced")
+    shown = rows(fill_tables.README, "real_frame")
     means, views = rows(fill_tables.RESULTS, "real_frame"), rows(fill_tables.BENCH, "real_frame_views")
     in_one_view = shown.pop("GGVS (online), cam00")
     assert in_one_view["PSNR"] == views["GGVS (online)"]["cam00"]
-    assert len(shown) == len(result_tables.FRONT_METHODS + result_tables.REDUCED_METHODS)
+    assert len(shown) == len(result_tables.FRONT_METHODS)
     for name, row in shown.items():
         assert row["PSNR"] == means[name]["PSNR"].partition(" ")[0]
 

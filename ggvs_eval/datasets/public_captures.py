@@ -37,6 +37,8 @@ class PublicDataset:
         archives: names of the archives, each a scene or all of them.
         folders: scenes of the only archive; none if each archive is a scene.
         by_hand: scenes that are not at one address.
+        size: of what is fetched, in words.
+        protocols: packaged ones of its scenes, ``{scene}`` being the name of one.
     """
 
     name: str
@@ -47,11 +49,19 @@ class PublicDataset:
     archives: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()
     by_hand: tuple[ByHand, ...] = ()
+    size: str = "size as the server states it"
+    protocols: tuple[str, ...] = ()
 
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of all scenes."""
         return (*(self.folders or self.archives), *(scene for each in self.by_hand for scene in each.scenes))
+
+    def terms(self, scene: str) -> str:
+        """Return title, size, licence, page and protocols, in one line."""
+        protocols = ", ".join(self.protocols).format(scene=scene)
+        choice = f"; --protocol: {protocols}" if protocols else ""
+        return f"{self.title}; {self.size}; licence: {self.licence}; {self.page}{choice}"
 
     def folder(self) -> Path:
         """Return the folder of its captures."""
@@ -91,9 +101,9 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
         )
     dataset = datasets[dataset_name]
     if scene not in dataset.scenes:
-        where = "" if scene or dataset.archives else f"; {dataset.way(dataset.by_hand[0], 'SCENE')}; licence: {dataset.licence}"
         known = f"{', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}"
-        raise CaptureError(f"{name}: {dataset.title} has {known}{where}")
+        where = "" if scene or dataset.archives else f"; {dataset.way(dataset.by_hand[0], 'SCENE')}"
+        raise CaptureError(f"{name}: wanted one of {known}; {dataset.terms('SCENE')}{where}")
     return dataset, scene
 
 

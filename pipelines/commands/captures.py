@@ -45,8 +45,8 @@ def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATAS
     Args:
         scene: data set and scene; `n3v:` lists the scenes of a data set, `llff` names what to fetch by hand.
     """
-    dataset, _ = find_scene(scene)
-    print(f"{dataset.title}; licence: {dataset.licence}; {dataset.page}", file=sys.stderr)
+    dataset, name = find_scene(scene)
+    print(dataset.terms(name), file=sys.stderr)
     print(get_capture(scene))
 
 

@@ -283,8 +283,8 @@ def sweep(
     Failures are listed at the end and do not stop the rest; the same command retries only them.
 
     Args:
-        name: packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, stream, switches) or a
-            .toml file.
+        name: packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, sparse, stream,
+            switches) or a .toml file.
         out: folder of the sweep; one run folder per variant, within a folder per capture if several.
         capture: one or more captures; the included demo by default.
         protocol: base protocol of the variants; fitted to the capture by default.
@@ -301,6 +301,7 @@ def sweep(
     from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.sweep.demo_runs import unpack_rooms
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
+    from ggvs_eval.reports.tables.published import published_lines
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
@@ -326,7 +327,10 @@ def sweep(
         return
     result = run_sweep(planned, engine)
     if not result.table.empty:
-        print(result.table.round(4).to_string())
+        scenes = {folder: (start.scene, base) for folder, (start, base) in starts.items()}
+        lines, sources = published_lines(scenes, list(result.table.columns))
+        print(result.with_lines(lines).round(4).to_string())
+        print(*sources, sep="\n", end="\n" if sources else "")
     for title, reason in result.not_computed.items():
         print(f"{title} not computed: {reason}")
     _end_with(result.failures)

@@ -43,6 +43,15 @@ class SweepResult:
     runs: dict[str, Path]
     failures: tuple[Failure, ...] = ()
 
+    def with_lines(self, lines: pd.DataFrame) -> pd.DataFrame:
+        """Return the table with further lines of its captures, each below those of its capture, and their means."""
+        if "capture" not in self.table.index.names:
+            return pd.concat([self.table, lines.droplevel("capture")])
+        together = pd.concat([self.table.drop("mean", level="capture", errors="ignore"), lines])
+        names = together.index.unique("capture")
+        by_capture = [together[together.index.get_level_values("capture") == name] for name in names]
+        return _with_means(pd.concat(by_capture), len({run.partition("/")[0] for run in self.runs}))
+
 
 @dataclass(frozen=True)
 class SweepPlan:

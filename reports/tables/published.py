@@ -5,10 +5,12 @@ exactly their terms, and no other.
 """
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import resources
+
+import pandas as pd
 
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.progress import counted
@@ -23,6 +25,7 @@ CAVEATS = (
     "It gives the number of test views (9 on DyNeRF) but does not name them; the choice moves PSNR by more than 1 dB.",
     "It leaves the backbone of LPIPS and the variants of STED and SSIM open; the protocol states those used here.",
 )
+PUBLISHED = "published"  # in the place of a variant
 PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
 UNITS = {"PSNR": "dB"}
 HIGHER_IS_BETTER = ("PSNR", "SSIM", "TCC")
@@ -211,6 +214,25 @@ def community_beside(
         if value.metric not in protocol.measurement.metrics
     ]
     return rows, [source, *([f"Published too: {', '.join(beyond)}."] if beyond else [])]
+
+
+def published_lines(captures: Mapping[str, tuple[str, Protocol]], metrics: Sequence[str]) -> tuple[pd.DataFrame, dict[str, None]]:
+    """Return published values as lines of a sweep, and their sources or the reasons why there are none.
+
+    Args:
+        captures: folder in the sweep -> scene and protocol.
+        metrics: columns of the sweep's table.
+    """
+    cells = []
+    notes: dict[str, None] = {}
+    for folder, (scene, protocol) in captures.items():
+        values, reason = community_values(protocol, [scene])
+        of_scene = [value for value in values if value.scene == scene and value.metric in metrics]
+        cells += [(folder, PUBLISHED, value.method, value.metric, float(value.value)) for value in of_scene]
+        if reason or of_scene:
+            notes[f"{PUBLISHED}: {reason or published_terms()[protocol.name].words}"] = None
+    lines = pd.DataFrame(cells, columns=["capture", "variant", "method", "metric", "value"])
+    return lines.pivot(index=["capture", "variant", "method"], columns="metric", values="value"), notes
 
 
 def _without_choices(protocol: Protocol) -> Protocol:

@@ -14,7 +14,7 @@ from ggvs_eval.files import download as downloads
 from ggvs_eval.files.download import DownloadError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.protocol import load_protocol
+from ggvs_eval.protocol import load_protocol, packaged_protocols
 from helpers.captures import make_image, make_rig, write_poses
 from helpers.refusals import refused
 from helpers.small_layouts import write_capture_toml
@@ -142,18 +142,30 @@ def test_what_is_fetched_by_hand_opens_by_its_name_where_it_was_put(tmp_path, mo
     for asked, where in (("llff", place.with_name("SCENE")), ("llff:fern", place)):
         with pytest.raises(GgvsError, match=r"nerf_llff_data\.zip") as caught:
             get_capture(asked)
-        assert all(
-            word in str(caught.value) for word in ("poses_bounds.npy and images_4", f"to {where} (http", "llff_3view_SCENE")
-        )
+        assert all(word in str(caught.value) for word in ("poses_bounds.npy and images_4", f"to {where} (http"))
     names = [f"image{number:03d}" for number in range(20)]
     write_poses(place, make_rig(names))
     for name in names:
         write_image(place / "images_4" / f"{name}.png", make_image(0, 0))
     run_command(["get", "llff:fern"])
     printed = capsys.readouterr()
-    assert "none stated" in printed.err
+    assert all(word in printed.err for word in ("1.8 GB", "none stated", "llff_sparse3_fern, "))
     assert printed.out.strip() == str(place)
     assert set(load_protocol("llff_3view_fern").views.test) < set(open_capture("llff:fern").camera_names)
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [(name, scene) for name, dataset in public_datasets().items() for scene in dataset.scenes],
+)
+def test_every_scene_has_size_terms_and_protocols(name, scene):
+    """What is said before anything is fetched; the protocols are packaged, and what names sources has them for this scene."""
+    dataset = public_datasets()[name]
+    protocols = dataset.terms(scene).partition("--protocol: ")[2].split(", ")
+    assert set(protocols) <= set(packaged_protocols())
+    assert dataset.size in dataset.terms(scene)
+    for protocol in map(load_protocol, protocols):
+        assert protocol.views.sources_of(scene) or not protocol.views.of_scenes
 
 
 def test_an_archive_that_leads_outside_leaves_nothing(dataset, server, tmp_path):

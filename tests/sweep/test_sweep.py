@@ -184,6 +184,6 @@ def test_mistakes_are_refused_in_one_line(text, message, tmp_path):
 
 def test_an_unknown_name_lists_what_is_packaged():
     """A sweep that is not packaged is refused with those that are."""
-    packaged = "ablations, ablations_short, baselines, budget, k, offline, online, readings, stream"
+    packaged = "ablations, ablations_short, baselines, budget, k, offline, online, readings, sparse, stream"
     with pytest.raises(ProtocolError, match=rf"{packaged}.*; did you mean ablations\?"):
         load_sweep("ablation")

@@ -28,7 +28,6 @@ from figure_tables import (
 from result_plan import MEASUREMENTS, OUT, ROOT, SHORT
 from result_tables import (
     FRONT_METHODS,
-    REDUCED_METHODS,
     author_clips_colmap_table,
     author_clips_table,
     budget_rows,
@@ -102,12 +101,13 @@ class Table:
 
 
 TABLES = (
-    Table(README, "learned", CARDS, learned_sentence),
+    Table(README, "sparse", "sparse", lambda: printed_table("sparse", "scene, sources")),
     Table(README, "real_frame", "real_frame", lambda: fidelity_table(OUT / "real_frame", FRONT_METHODS, usual_view=True)),
-    Table(README, "reduced", "real_frame", lambda: fidelity_table(OUT / "real_frame", REDUCED_METHODS)),
     Table(PEERS, "learned", CARDS, learned_sentence),
     Table(PEERS, "learned_table", CARDS, learned_table),
     Table(PEERS, "demo_instant", "demo_instant", lambda: results_table(OUT / "demo_instant")),
+    Table(RESULTS, "sparse", "sparse", lambda: printed_table("sparse", "scene | sources | GGVS (online)")),
+    Table(RESULTS, "sparse_measured", "sparse", lambda: printed_table("sparse", "scene | sources | PSNR of GGVS")),
     Table(RESULTS, "demo", "demo", lambda: results_table(OUT / "demo")),
     Table(RESULTS, "ceilings", "demo", lambda: ceilings_table(OUT / "demo")),
     Table(RESULTS, "depth", "depth", depth_table),

@@ -58,6 +58,15 @@ MANY_CAMERAS = 100  # more than any K of a sweep wants
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_AN_INSTANT = ("no-blending", "distance-based", "ibrnet", "enerf", "mvsnerf", "ours")
 LLFF_SCENES, ON_LLFF = ("fern", "flower"), ("distance-based", "enerf", "mvsnerf", "ours-geometric", "ours")
+ON_SPARSE = ("no-blending", "distance-based", "enerf", "fwd", "ours-geometric", "ours")
+SPARSE_RUNS = {  # folder below out/sparse -> capture and protocol
+    f"{scene}{n_sources}": (capture, protocol.format(n_sources))
+    for scene, capture, protocol in (
+        ("flame_steak", FLAME_STEAK, "n3v_sparse{}_instant"),
+        *((scene, f"llff/{scene}", f"llff_sparse{{}}_{scene}") for scene in LLFF_SCENES),
+    )
+    for n_sources in (2, 3, 4)
+}
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
 
 
@@ -203,6 +212,22 @@ MEASUREMENTS = {
             "llff_3view_fern",
             sources=("benchmarks/llff.py",),
             captures=tuple(f"llff/{scene}" for scene in LLFF_SCENES),
+        ),
+        Measurement(
+            "sparse",
+            (
+                *(
+                    f"ggvs-eval run out/sparse/{run} --capture {{data}}/{capture} --protocol {protocol} --methods "
+                    f"{' '.join(ON_SPARSE)}"
+                    for run, (capture, protocol) in SPARSE_RUNS.items()
+                ),
+                f"python -m benchmarks.sparse {' '.join(f'out/sparse/{run}' for run in SPARSE_RUNS)}",
+            ),
+            30,
+            ON_SPARSE,
+            "n3v_sparse3_instant",
+            sources=("benchmarks/sparse.py",),
+            captures=(FLAME_STEAK, *(f"llff/{scene}" for scene in LLFF_SCENES)),
         ),
         Measurement(
             "demo_instant",

@@ -23,7 +23,6 @@ ON_THE_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
 FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
 USUAL_VIEW = "cam00"  # that Neural 3D Video is tested on by most
 FRONT_METHODS = ("no-blending", "distance-based", "interpolation", "ours")  # of the README; no network but the method's own
-REDUCED_METHODS = ("fwd", "gps-gaussian+given-depth", "ibrnet", "enerf")  # compact networks that were trained here
 
 CLIP_DATASETS = {"dynerf": "DyNeRF", "enerf": "ENeRF-Outdoor", "d3dmv": "D3DMV"}
 CLIP_METHODS = {"enerf": "ENeRF", "gpsg": "GPSG", "ibrnet": "IBRNet", "ours": "paper's"}
