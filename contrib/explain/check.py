@@ -23,6 +23,7 @@ from ggvs_eval.errors import GgvsError, ResultsError, did_you_mean
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
+from ggvs_eval.pipelines.run.decoding import fast_truth
 from ggvs_eval.progress import track
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell
@@ -127,7 +128,7 @@ class Runs:
         runs = self.of_scene(scene)
         for run in runs:
             views = views_of_run(run.folder, label, as_measured=True)
-            for one in explain(family, "0", views):
+            for one in explain(family, "0", views, fast=fast_truth(run.folder)):
                 if one.views == ALL_VIEWS:
                     found.setdefault(one.name, []).append(one.value)
         return {name: float(np.mean(values)) for name, values in found.items() if len(values) == len(runs)}

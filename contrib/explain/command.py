@@ -43,6 +43,7 @@ def explain(
     from ggvs_eval.contrib.explain.explain import explain as recompute
     from ggvs_eval.contrib.explain.explain import explanation_table, followed, metric_family, printed, read_masks
     from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
+    from ggvs_eval.pipelines.run.decoding import fast_truth
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
     printed(quoted)
@@ -52,7 +53,7 @@ def explain(
         views = views_of_run(folder, method or labels[0], as_measured=True)
         masks = read_masks(mask, views, folder.protocol().measurement) if mask else None
         with followed(views) as read:
-            conventions = recompute(metric, quoted, read, masks)
+            conventions = recompute(metric, quoted, read, masks, fast_truth(folder))
         print(explanation_table(metric, quoted, conventions, shows_all=all))
 
 

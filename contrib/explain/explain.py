@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
-from ggvs_eval.contrib.explain.conventions import ALL_VIEWS, MaskReader, Masks, Recomputed, Views
+from ggvs_eval.contrib.explain.conventions import ALL_VIEWS, MaskReader, Masks, Recomputed, Views, conventions
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.names import numbers_in
 from ggvs_eval.measured_frames import measured_mask
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
+from ggvs_eval.metrics.stream import score_views
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.run_folder import as_ranges
+from ggvs_eval.scoring import FrameReader
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
@@ -34,6 +36,7 @@ NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 NEAREST = 5  # conventions that do not match and are shown
 MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
+FAST_TRUTH = "as this tool, truth decoded by OpenCV, imageio or plain ffmpeg"
 BOX = re.compile(r"\d+(,\d+){3}")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 FAMILIES: Registry[Callable[[Views, Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
@@ -57,7 +60,13 @@ class Convention:
     is_ours: bool
 
 
-def explain(metric: str, quoted: str, views: Views, masks: Masks | None = None) -> list[Convention]:
+def explain(
+    metric: str,
+    quoted: str,
+    views: Views,
+    masks: Masks | None = None,
+    fast: Mapping[str, FrameReader] | None = None,
+) -> list[Convention]:
     """Recompute a number under every known convention of its metric.
 
     Args:
@@ -65,6 +74,7 @@ def explain(metric: str, quoted: str, views: Views, masks: Masks | None = None) 
         quoted: the number as it was printed, e.g. ``31.170``; its digits say how well it has to be met.
         views: name -> rendered and captured frames.
         masks: name -> frame number -> (H, W) bool, for conventions that leave pixels out.
+        fast: name -> frame number -> captured frame as FFmpeg's fast conversion has it, for views that were captured as video.
 
     Returns:
         Every convention over all views, and over each view alone where there are several; those of this tool first.
@@ -77,14 +87,31 @@ def explain(metric: str, quoted: str, views: Views, masks: Masks | None = None) 
     if not views:
         raise MetricError("wanted at least one view, got none; name one")
     number, _ = printed(quoted)
-    rows = FAMILIES[family](views, masks or {})
-    conventions = [
+    rows = [*FAMILIES[family](views, masks or {}), *_of_fast_truth(family, views, fast or {})]
+    recomputed = [
         Convention(row.name, over, value, abs(value - number) <= tolerance(quoted, value), row.is_ours)
         for row in rows
         for over, value in row.values.items()
         if len(views) > 1 or over == ALL_VIEWS
     ]
-    return sorted(conventions, key=lambda convention: not convention.is_ours)
+    return sorted(recomputed, key=lambda convention: not convention.is_ours)
+
+
+def _of_fast_truth(family: str, views: Views, fast: Mapping[str, FrameReader]) -> list[Recomputed]:
+    """Measure this tool's own metric of that name against the truth as OpenCV and imageio decode it."""
+    if not views.keys() <= fast.keys():
+        return []
+    own = next((name for name, metric in METRICS.items() if name.lower() == family and metric.kind != "rig"), None)
+    if own is None:
+        return []
+    by_view = {}
+    for name, view in views.items():
+        pairs = (([view.rendered(index)], fast[name](index)) for index in view.frames)
+        (scores,) = score_views(pairs, [own])
+        by_view[name] = np.array([value for metric, _, value in scores.values if metric == own])
+    if any(len(values) == 0 for values in by_view.values()):  # which the views are too few or too small for
+        return []
+    return conventions({FAST_TRUTH: by_view})
 
 
 @contextmanager

@@ -30,6 +30,7 @@ X264 = "mbtree=0:cpu-independent=1"
 HDR_TRANSFERS = {18: "HLG", 16: "PQ"}  # by their numbers in ITU-T H.273
 PROGRESSIVE = 1  # of FFmpeg's orders of fields; 0 is unknown, what is above is interlaced
 DEINTERLACE = "ffmpeg -i IN -vf bwdif -c:v libx264 -crf 12 OUT.mp4"
+EXACT_DECODING = "from video with full precision (OpenCV, imageio and plain ffmpeg are about a level darker)"
 UNSPECIFIED = 2  # of the matrices in ITU-T H.273
 UNTAGGED = (
     "by the matrix of BT.601, as no tag states one; if they are of BT.709, as HD cameras mean it, write that: ffmpeg -i IN "
@@ -166,9 +167,11 @@ class VideoFrames:
 
     Attributes:
         path: MP4 or MOV file.
+        is_exact: convert colours with full precision; else by FFmpeg's fast way, as OpenCV and imageio do.
     """
 
     path: Path
+    is_exact: bool = True
 
     @property
     def n_frames(self) -> int:
@@ -244,7 +247,8 @@ class VideoFrames:
                     # A frame that is missing or concealed must not shift or spoil those after it.
                     if frame.pts != self._shown[index].presented or frame.is_corrupt:
                         break
-                    image = frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
+                    conversion = _exact_conversion() if self.is_exact else None
+                    image = frame.to_ndarray(format="rgb24", interpolation=conversion).astype(np.uint8, copy=False)
                     yield self._oriented(image)
                     index += 1
             except av.error.FFmpegError as error:

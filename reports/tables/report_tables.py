@@ -191,6 +191,7 @@ def main_captions(
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
     marks += [OWN_TRUTH_MEANS] if any(run.has_own_truth for run in runs) else []
+    marks += [f"Truth decoded {decoding}." for decoding in {run.capture.get("truth_decoding", "") for run in runs} if decoding]
     test, chosen = {*protocol.views.test}, {*protocol.views.sources}
     may_interchange = len(test) > 1 and (not chosen or not chosen.isdisjoint(test))  # a test view is a source of another one
     shared = [INTERCHANGE] if sources and may_interchange else []

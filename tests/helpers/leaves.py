@@ -31,7 +31,13 @@ LEAVES: dict[str, tuple[str, ...]] = {
     "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate"),
     "depth page": ("pipelines.offline.export", "pipelines.run.depth_outputs", "reports.depth_page"),
     "check": ("pipelines.inspection.capture", "pipelines.commands.check", "pipelines.commands.evaluate"),
-    "doctor": ("pipelines.inspection.renders", "pipelines.run.seen_views", "pipelines.commands.doctor", "transforms"),
+    "doctor": (
+        "pipelines.inspection.renders",
+        "pipelines.run.seen_views",
+        "pipelines.run.decoding",
+        "pipelines.commands.doctor",
+        "transforms",
+    ),
     "steadiness": (
         *("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
         *("metrics.series_scores", "renders.sequences"),
