@@ -323,6 +323,7 @@ _RUN = "ggvs_eval.pipelines.run"
 QUESTIONS = {
     "quick checks": "ggvs_eval.pipelines.inspection.renders.quick_checks:QUESTION",
     "test view seen": f"{_RUN}.seen_views:QUESTION",
+    "same frames": f"{_RUN}.same_frames:QUESTION",
 }
 SCORE_PARTS = {
     "noise ceilings": f"{_RUN}.references:plan_ceilings",

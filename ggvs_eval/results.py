@@ -32,6 +32,7 @@ MOVING_NUMBERS = (  # packages whose version can
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
 # Fault of renders -> what it looks like, to follow the method's name.
+SAME_FRAMES = "same frames as "  # ... another method or view: the begin of a fault's question
 SYMPTOMS = {
     "reversed time": "has its frames in reversed order",
     "channel order": "has swapped colour channels",
@@ -75,6 +76,8 @@ class Fault(NamedTuple):
             lag = re.search(r"t[+-](\d+)", self.measured)
             instants = f"{lag[1]} instants" if lag and lag[1] != "1" else "one instant"
             return f"shows every frame {instants} {self.called}"
+        if self.question.startswith(SAME_FRAMES):
+            return f"shows the {self.question}"
         return SYMPTOMS.get(self.question, f"has a fault: {self.question}")
 
     @property

@@ -32,12 +32,14 @@ class ScoredMethod:
 
     Attributes:
         values: metric -> view -> frame -> value.
+        before: methods that were asked about before it.
     """
 
     run: RunFolder
     protocol: Protocol
     label: str
     values: Mapping[str, Mapping[str, Mapping[int, float]]]
+    before: Sequence["ScoredMethod"] = ()
 
 
 class Question(Door):

@@ -197,7 +197,9 @@ def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extra
         mask = undistorted(ImageFrames(folder / name), lens, lens.K) if folder and has_mask else None
         if mask is not None and mask.n_frames != n_frames:
             counts = f"{mask.n_frames} for {n_frames} frames"
-            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them, or move the folder elsewhere")
+            raise CaptureError(
+                f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them, or move the folder elsewhere"
+            )
         extras.append(Extras(background=undistorted(pictures[name], lens, lens.K) if pictures else None, mask=mask))
     return extras
 

@@ -34,6 +34,14 @@ class Side:
     label: str
     results: Results
 
+    @property
+    def frames(self) -> dict[str, str]:
+        """Test view -> digest of the frames; empty in results of earlier versions."""
+        renders = self.results.renders
+        return {
+            name: digest for key, digest in renders.items() for label, _, name in [key.rpartition("/")] if label == self.label
+        }
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -155,6 +163,8 @@ def _compare_sides(one: Side, other: Side, run: Path, names: tuple[str, str]) ->
     dataset, labels = str(both.table["dataset"].iloc[0]), (one.label, other.label) if is_one_run else SIDES
     standings = _standings(measured, one.results if is_one_run else both, labels, dataset)
     set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (one, other)])
+    if not set_aside and one.frames and one.frames == other.frames:
+        set_aside = f"{names[0]} and {names[1]} are the same frames, byte by byte"
     means = both.summary().loc[dataset]
     notes = [
         note
