@@ -1,9 +1,9 @@
-# Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
+# Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 to 3.14, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
 .PHONY: reports results test test-all check bench bench-device validate worth docs wheel wheel-test view view-demo clean
 
-PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
-	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 READY := .venv/.ready
 FOLDERS := pipelines baselines metrics reports contrib
@@ -109,7 +109,7 @@ clean:
 	rm -rf .venv build out *.egg-info ggvs_eval/kernels/*.so
 
 $(READY): setup.cfg setup.py pyproject.toml $(wildcard ggvs_eval/kernels/*.cpp ggvs_eval/kernels/*.hpp)
-	@test -n "$(PYTHON)" || { echo "ggvs-eval needs Python 3.11 or 3.12 (Open3D has no wheel for others)"; exit 1; }
+	@test -n "$(PYTHON)" || { echo "ggvs-eval needs Python 3.11, 3.12, 3.13 or 3.14"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[dev]'
 	$(BIN)/python -m ggvs_eval.install

@@ -73,7 +73,7 @@ def _shared(pairs: FramePairs, n_frames: int) -> str:
     """State how many frames are equal; empty as soon as too many are not."""
     n_differing = 0
     for pair in pairs:
-        n_differing += pair is None or not np.array_equal(*map(read_image, pair))
+        n_differing += pair is None or not np.array_equal(read_image(pair[0]), read_image(pair[1]))
         if n_differing >= MOST_DIFFERING * n_frames:
             return ""
     return f"{n_frames - n_differing} of {counted(n_frames, 'frame')} are equal pixel by pixel"
