@@ -387,8 +387,10 @@ MATCHERS = {
 SENSORS = {"sensor depth": f"{_OFFLINE}.sensor.sensor_depth:SensorDepthEstimator"}
 # Depth of the source cameras of a run.
 DEPTH = {"depth": f"{_OFFLINE}.depth.run_depth:MatchedDepth"}
-# What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.
+# Cameras of a run: as given or refined.
 _RUN = "ggvs_eval.pipelines.run"
+CALIBRATIONS = {"calibration": f"{_RUN}.calibration_of_run:calibrate"}
+# What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.
 PREPARATIONS = {
     "camera path": f"{_RUN}.camera_path",
     "fits": f"{_RUN}.fits",

@@ -13,6 +13,8 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import ResizeFilter, resize
 
+PRECISE_PX = 0.5  # median epipolar error up to which cameras are as good as features tell
+
 
 class FrameSource(Protocol):
     """Stored frames of one camera: a video file, a folder of images, a single image."""
@@ -99,6 +101,51 @@ class GivenDepth:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """What is known of the cameras of a capture, and which of two calibrations is used.
+
+    Attributes:
+        choice: ``given``, ``refined`` or ``compare``.
+        cameras: those in use, ``given`` or ``refined``.
+        given_px: median epipolar error of near cameras as given, pixels of the pictures that features are found in.
+        refined_px: the same of refined cameras; None if none were found, as all the below.
+        n_points: that they were refined by.
+        psnr_db: of source cameras rendered from each other with given and with refined cameras; empty if not compared.
+        failure: why they could not be refined or compared; empty if they could.
+    """
+
+    choice: str
+    cameras: str
+    given_px: float
+    refined_px: float | None = None
+    n_points: int | None = None
+    psnr_db: Sequence[float] = ()
+    failure: str = ""
+
+    @property
+    def is_precise(self) -> bool:
+        """True if the given cameras agree with the pictures."""
+        return self.given_px <= PRECISE_PX
+
+    @property
+    def limits_methods(self) -> bool:
+        """True if the cameras in use contradict the pictures; what refined ones leave is mostly noise of features."""
+        return self.cameras == "given" and self.given_px > PRECISE_PX
+
+    def describe(self) -> str:
+        """Return in words which cameras are used, and why."""
+        words = f"{self.cameras} cameras are used; median epipolar error {self.given_px:.2f} px as given"
+        if self.refined_px is not None:
+            words += f", {self.refined_px:.2f} px refined by {self.n_points} points"
+        if self.psnr_db:
+            words += "; PSNR of source cameras {:.2f} dB as given, {:.2f} dB refined".format(*self.psnr_db)
+        if self.failure:
+            return f"{words}; not compared: {self.failure}"
+        is_skipped = self.choice == "compare" and not self.psnr_db
+        return words + (f": at most {PRECISE_PX} px, refined ones are not tried" if is_skipped else "")
+
+
+@dataclass(frozen=True)
 class Capture:
     """Synchronised fixed cameras that look at one dynamic scene.
 
@@ -118,6 +165,7 @@ class Capture:
         edit: what was done to the frames; None if they are as they were taken.
         test_views: cameras that its authors hold out; none if it does not say.
         given_depth: where its depth comes from, if it is another program's.
+        calibration: what is known of its cameras, where that was asked for.
     """
 
     scene: str
@@ -135,6 +183,7 @@ class Capture:
     edit: CaptureEdit | None = None
     test_views: tuple[str, ...] = ()
     given_depth: GivenDepth | None = None
+    calibration: Calibration | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

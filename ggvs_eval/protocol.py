@@ -17,6 +17,7 @@ from ggvs_eval.files.toml_tables import build_table, key_of, parse_toml, read_to
 from ggvs_eval.metric_choices import LATER, MetricChoices
 from ggvs_eval.plugins import say_once
 
+CalibrationChoice = Literal["given", "refined", "compare"]
 WayName = Literal["as-is", "mvsnerf", "enerf"]
 USUAL = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
 OF_OWN_TRUTH = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT")  # of renders that come with their reference
@@ -107,6 +108,8 @@ class Synthesis:
         sources: choice of the source cameras, the same for all methods: the ``nearest`` by centre, as in the paper; those whose
             calibration covers most of the target's view (``coverage``); or the three corners of the triangle around the target
             (``triplet``).
+        calibration: cameras ``given``, ``refined`` by bundle adjustment, or ``compare``: those that render source cameras better,
+            given ones up to an epipolar error of 0.5 pixels; none: given, not examined.
     """
 
     k: int = 4
@@ -114,6 +117,7 @@ class Synthesis:
     height: int = 0
     resize_filter: ResizeFilter = "lanczos"
     sources: SourceChoice = field(default="nearest", metadata=LATER)
+    calibration: CalibrationChoice | None = field(default=None, metadata=LATER)
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,7 @@ def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list
 
 def _convert(field_type: Any, value: Any, key: str, faults: list[str]) -> Any:
     origin, arguments = typing.get_origin(field_type), typing.get_args(field_type)
-    if origin is types.UnionType:
+    if origin in (types.UnionType, typing.Union):
         field_type = next(each for each in arguments if each is not types.NoneType)
         return _convert(field_type, value, key, faults)
     if dataclasses.is_dataclass(field_type) and isinstance(value, dict):

@@ -21,6 +21,7 @@ from ggvs_eval.pipelines.commands.flags import (
     Device,
     Labels,
     Output,
+    Poses,
     Running,
     changed_flags,
 )
@@ -41,6 +42,7 @@ def evaluate(
     frames: int | None = None,
     repair: bool = False,
     methods: Labels = USUAL_METHODS,
+    poses: Poses = None,
     device: Device = "cpu",
     calibration: Calibrating = RAW_VIDEOS,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
@@ -58,6 +60,7 @@ def evaluate(
         frames: number of instants to evaluate, from the first; at most 100 by default.
         repair: correct whole-frame delays and brightness by `check`, then check again.
         methods: methods to evaluate.
+        poses: cameras given, refined, or compare: refined if source cameras render better; the protocol's by default.
         device: device of networks: cpu, cuda or auto.
         calibration: known and assumed parameters; by default one lens for all cameras, with one distortion coefficient.
         reading: capture reading.
@@ -98,10 +101,10 @@ def evaluate(
     elif frames is not None:
         print(f"{terms} is kept, --frames {frames} is ignored; choose another OUT for other frames", file=sys.stderr)
     named = [] if methods == USUAL_METHODS else ["--methods", *methods]
-    flags = [*named, *([] if device == "cpu" else ["--device", device]), *flags]
+    flags = [*named, *_flag("--calibration", poses), *([] if device == "cpu" else ["--device", device]), *flags]
     flags += [*changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
     shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
-    runs.run(out / "run", capture, str(terms), methods, device=device, reading=reading, depth=depth, engine=engine)
+    runs.run(out / "run", capture, str(terms), methods, poses=poses, device=device, reading=reading, depth=depth, engine=engine)
 
 
 def _require_same(out: Path, videos: Capture) -> None:

@@ -16,6 +16,7 @@ from ggvs_eval.errors import CaptureError, CommandError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
+from ggvs_eval.protocol import CalibrationChoice
 
 NONE = "(none by default)"
 
@@ -45,6 +46,7 @@ Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)
 USUAL_METHODS = usual_methods()
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
 Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
+Poses = Annotated[CalibrationChoice | None, tyro.conf.arg(name="calibration")]
 NoiseLevel = Annotated[float, tyro.conf.arg(aliases=["--sensor-noise"])]
 
 

@@ -26,6 +26,7 @@ from ggvs_eval.pipelines.commands.flags import (
     Jobs,
     Labels,
     Output,
+    Poses,
     Run,
     Running,
     Weights,
@@ -34,7 +35,7 @@ from ggvs_eval.pipelines.commands.flags import (
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, named_scenes, weights_takers
 from ggvs_eval.plugins import Registry
-from ggvs_eval.protocol import Protocol
+from ggvs_eval.protocol import CalibrationChoice, Protocol
 from ggvs_eval.run_folder import RunFolder
 
 NO_SPLATS: Mapping[str, Path] = {}
@@ -48,6 +49,7 @@ def prepare(
     protocol: str | None = None,
     fuse: bool = False,
     dense_workspace: Path | None = None,
+    poses: Poses = None,
     device: Device = "cpu",
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     depth: DepthFlags = DEPTH_DEFAULTS,
@@ -62,6 +64,7 @@ def prepare(
         protocol: protocol (.toml or packaged name); fitted to the capture by default.
         fuse: also fuse the first instant into RUN/fused/<frame>/{points,mesh}.ply.
         dense_workspace: folder for the first instant's depth as a COLMAP dense workspace.
+        poses: cameras given, refined, or compare: refined if source cameras render better; the protocol's by default.
         device: device of depth networks (--matcher raft); stored with the run.
         reading: capture reading.
         depth: depth estimation.
@@ -74,7 +77,7 @@ def prepare(
 
     networks = _networks((), device)
     root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
-    chosen = _protocol(protocol, opened)
+    chosen = _protocol(protocol, opened, poses)
     plan = plan_run(RunRequest(root, opened, chosen, depth=depth, networks=networks))
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
@@ -216,6 +219,7 @@ def run(
     protocol: str | None = None,
     methods: Labels = USUAL_METHODS,
     weights: Weights = (),
+    poses: Poses = None,
     device: Device = "cpu",
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     depth: DepthFlags = DEPTH_DEFAULTS,
@@ -232,6 +236,7 @@ def run(
         protocol: protocol (.toml or packaged name); fitted to the capture by default.
         methods: methods, or [NAME=]splats:PATH for fitted 3D Gaussians (.ply, or a folder of them).
         weights: METHOD=FILE, the authors' checkpoint of a method without included weights.
+        poses: cameras given, refined, or compare: refined if source cameras render better; the protocol's by default.
         device: device of networks; GPU results can differ from the CPU's by 1/255 per pixel.
         reading: capture reading.
         depth: depth estimation.
@@ -252,7 +257,7 @@ def run(
         run_demos(root, labels, demo_plans(root, labels, unpack, depth, networks, in_stages=not dry_run), engine, dry_run)
         return
     opened = _open(reading, engine.place(capture), protocol) if capture else unpack.beside(root)
-    chosen = _protocol(protocol, opened)
+    chosen = _protocol(protocol, opened, poses)
     plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
@@ -270,6 +275,7 @@ def sweep(
     capture: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint=NONE)] = (),
     protocol: str | None = None,
     weights: Weights = (),
+    poses: Poses = None,
     device: Device = "cpu",
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     depth: DepthFlags = DEPTH_DEFAULTS,
@@ -289,6 +295,7 @@ def sweep(
         capture: one or more captures; the included demo by default.
         protocol: base protocol of the variants; fitted to the capture by default.
         weights: METHOD=FILE, the checkpoint of a method without included weights; else its rows are omitted.
+        poses: cameras given, refined, or compare: refined if source cameras render better; the protocol's by default.
         device: device of networks; GPU results can differ from the CPU's by 1/255 per pixel.
         reading: capture reading.
         depth: depth estimation.
@@ -312,11 +319,11 @@ def sweep(
     opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
-    starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
+    starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each, poses)) for folder, each in opened.items()}
     if plan:
         options = [*changed_flags(reading, CAPTURE_DEFAULTS), *changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
-        chosen += ["--device", device] if device != "cpu" else []
+        chosen += [*(["--device", device] if device != "cpu" else []), *(["--calibration", poses] if poses else [])]
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
         print(PLANS["commands"](plan, engine.place(out), starts, definition, networks, command))
         return
@@ -391,11 +398,14 @@ def _open(reading: CaptureOptions, path: Path, protocol: str | None) -> Capture:
     return (replace(reading, keep_unsynced=True) if keeps else reading).open(path)
 
 
-def _protocol(source: str | None, capture: Capture) -> Protocol:
+def _protocol(source: str | None, capture: Capture, calibration: CalibrationChoice | None) -> Protocol:
     from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
     from ggvs_eval.protocol import load_protocol
 
-    return load_protocol(source) if source else suggest_protocol(capture)
+    protocol = load_protocol(source) if source else suggest_protocol(capture)
+    if calibration in (None, protocol.synthesis.calibration):
+        return protocol
+    return replace(protocol, synthesis=replace(protocol.synthesis, calibration=calibration))
 
 
 def _missing_renders(run: RunFolder) -> str:

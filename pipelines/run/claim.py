@@ -74,6 +74,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "notes": list(capture.notes),
         "edit": capture.edit and asdict(capture.edit),
         **({"given_depth": asdict(capture.given_depth)} if capture.given_depth else {}),
+        **({"calibration": asdict(capture.calibration)} if capture.calibration else {}),
         "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
         "digests": _digests(capture),
     }

@@ -193,7 +193,8 @@ def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan
     Returns:
         The runs of which all is measured, with what `Scores.collect` makes their tables of.
     """
-    ready = [plan for plan in plans if stages.attempt(f"prepare {plan.name}", partial(prepare_run, plan, stages.engine))]
+    tried = [stages.attempt(f"prepare {plan.name}", partial(prepare_run, plan, stages.engine)) for plan in plans]
+    ready = [plan for plan in tried if plan]  # planned again where cameras were refined
     imported = {plan.name: [label for label in plan.request.imports if _import(plan, label, stages)] for plan in ready}
     if all(plan.request.only_prepares for plan in ready):
         return []

@@ -44,6 +44,9 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         DeviceError: depth is missing, and the device that it is found on is not here or has no memory left.
         ProtocolError: the folder belongs to another protocol or capture.
     """
+    if plan.calibration and (task := plan.calibration(workers).left()):
+        task.run()
+        plan = plan_run(plan.request)
     run = plan.run
     if plan.shared_root != run.root:
         _share_folders(run.root, plan.shared_root)

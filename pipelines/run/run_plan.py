@@ -3,7 +3,7 @@
 A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +30,7 @@ from ggvs_eval.pipelines.run.render import SceneFit, UnitTask, render_task
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.tasks.task import AnyTask, FileTask
+from ggvs_eval.tasks.task import AnyTask, FileTask, Task
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,7 @@ class RunPlan:
         path_frame: the instant at which the camera moves along the path.
         path_images: what a camera would have seen there; None if that is unknown.
         fits: of the methods that are fitted; none if no such method is wanted.
+        calibration: of the cameras, as workers do it; None if they are used as given.
     """
 
     request: RunRequest
@@ -88,6 +89,7 @@ class RunPlan:
     path_frame: int = 0
     path_images: ImageFrames | None = None
     fits: tuple[SceneFit, ...] = ()
+    calibration: Callable[[Workers], Task] | None = None
 
     @property
     def name(self) -> str:
@@ -136,9 +138,10 @@ class RunPlan:
     @property
     def tasks(self) -> list[AnyTask]:
         """Everything that is made before renders are scored, in the order in which it is made."""
+        calibrations = [self.calibration(1)] if self.calibration else []
         frames = frame_tasks(self.original, self.frames_of_cameras(), self.shared_root / "truth")
         prepared = [task for preparation in PREPARATIONS.built_in().values() for task in preparation.tasks(self)]
-        return [*map(self._priced, (*frames, *self.depth_tasks(), *prepared)), *self.renders]
+        return [*map(self._priced, (*calibrations, *frames, *self.depth_tasks(), *prepared)), *self.renders]
 
     def depth_tasks(self) -> list[FileTask]:
         """Return what makes the depth of views, path and fits."""
@@ -230,6 +233,7 @@ class Preparation(Door):
         """Make what is missing, when frames and depth are there."""
 
 
+CALIBRATIONS: Registry[Any] = Registry("calibration", built_in.CALIBRATIONS)
 PREPARATIONS: Registry[Preparation] = Registry("preparations", built_in.PREPARATIONS)
 
 
@@ -255,13 +259,16 @@ def plan_run(request: RunRequest) -> RunPlan:
     if not protocol.views.folds and run.protocol_file.is_file() and (kept := run.protocol()).agrees_with(protocol):
         protocol = kept
     request = replace(request, protocol=protocol)
-    capture = fit_capture(request.capture, protocol)
+    calibrated, calibration, choice = request.capture, None, protocol.synthesis.calibration
+    if choice == "refined" or (choice and CALIBRATIONS.is_present("calibration")):
+        calibrated, calibration = CALIBRATIONS["calibration"](request, protocol)
+    capture = fit_capture(calibrated, protocol)
     require_owner(run, protocol, capture)
     visible, device = visible_cameras(capture, protocol), request.networks.device
     depth = depth_of_run(run, request.depth, visible, protocol, device, methods)
     views = depth.sources([capture.camera(view) for view in protocol.views.test])
     plans = {view: replace(plan, shares=dict.fromkeys(plan.shares, 1.0)) for view, plan in views.items()}
-    planned = RunPlan(request, run, methods, depth, capture, plans)
+    planned = RunPlan(request, run, methods, depth, capture, plans, calibration=calibration)
     for preparation in PREPARATIONS.built_in().values():
         planned = preparation.complete(planned)
     return replace(planned, original=replace(capture, notes=(*capture.notes, *depth.notes)))

@@ -83,6 +83,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
         min(base.synthesis.k, len(training) if capture.test_views else len(capture.cameras) - 1),
         resize_filter=base.synthesis.resize_filter,
         sources="coverage" if capture.layout in HAND_HELD else "nearest",
+        calibration=None if capture.units_origin == DEMO_NOTES else "compare",
     )
     views, reasons = (
         _own_split(capture, training, doubts) if capture.test_views and training else _views(capture, synthesis, doubts)

@@ -7,12 +7,14 @@ import dataclasses
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
 import pandas as pd
 
-from ggvs_eval.coverage import read_coverage
+from ggvs_eval.capture import Calibration
+from ggvs_eval.coverage import read_coverage, read_import
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
@@ -29,6 +31,7 @@ REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
 FAULTY = " (faulty)"  # behind the name of a method whose renders have a certain fault
 OWN_TRUTH = " (own truth)"  # behind the name of a method that was measured against the truth that came with its renders
+OTHER_CAMERAS = " (other cameras)"  # behind the name of renders made elsewhere, where the run's own have refined cameras
 PARTIAL = " (partial)"  # behind the name of a method whose renders lack views or frames
 
 
@@ -122,6 +125,19 @@ def reference_remarks(references: Sequence[Reference], group: str, notes: Sequen
     return list(dict.fromkeys(remarks))
 
 
+def limit_by_cameras(runs: Sequence["MeasuredRun"]) -> str:
+    """Return a sentence on given cameras that contradict the pictures more than methods differ; empty if none do."""
+    limited = {run.scene: run.calibration for run in runs if run.calibration and run.calibration.limits_methods}
+    if not limited:
+        return ""
+    scene, worst = max(limited.items(), key=lambda item: item[1].given_px)
+    advice = "refined ones render worse" if worst.psnr_db else "refine them in a new run: --calibration refined"
+    return (
+        f"Poses limit all methods: their epipolar error in {scene} is {worst.given_px:.1f} px ({advice}); "
+        "the order of methods is decided by poses."
+    )
+
+
 def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
     """Return the references of a table over several runs: means over the scenes, as its other numbers are."""
     scenes = dict.fromkeys(run.scene for run in runs)
@@ -202,6 +218,12 @@ class MeasuredRun:
         """Record of the capture; empty in a folder of numbers alone."""
         return self.folder.capture_record() if self.folder.has_capture_record else {}
 
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """What is known of the cameras of its methods; None if they were used as given, and not examined."""
+        record = self.capture.get("calibration")
+        return Calibration(**record) if record else None
+
     @property
     def is_demo(self) -> bool:
         """Return whether ``ggvs-eval demo`` wrote a capture, in any layout and under any name."""
@@ -260,6 +282,8 @@ class MeasuredRun:
     def name(self, label: str) -> str:
         """Name of a method to show; ``truth`` has one too, and renders that are partial or have a certain fault say so."""
         name = "Truth" if label == "truth" else f"{self.names.get(label, label)}{OWN_TRUTH if self.has_own_truth else ''}"
+        if self.calibration and self.calibration.cameras == "refined" and read_import(self.folder, label) is not None:
+            name += OTHER_CAMERAS
         return f"{name}{PARTIAL if label in self.partial else FAULTY if label in self.results.spoilt else ''}"
 
     def row(self, label: str, cells: Sequence[Cell], results: Results | None = None) -> Row:

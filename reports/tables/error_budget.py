@@ -15,7 +15,7 @@ from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import mean_of_channels, read_image, round_levels
 from ggvs_eval.jobs.processes import in_threads
-from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.measured import MeasuredRun, limit_by_cameras
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.section import RUNS_KEPT, Report, SectionContent, tables_of_runs
 from ggvs_eval.results import split_label
@@ -337,7 +337,7 @@ def describe_absolute(
         beside.append(f"published methods reach {low}{f' to {high}' if high != low else ''}{unit} on this data set")
     sentences = [f"{name} has {cell.shown}{unit}; {', and '.join(beside)}."] if beside else []
     calibration = next(filter(None, map(describe_calibration, runs)), "")
-    return " ".join(filter(None, [*sentences, calibration, largest_cause(name, budgets)]))
+    return " ".join(filter(None, [limit_by_cameras(runs), *sentences, calibration, largest_cause(name, budgets)]))
 
 
 def describe_calibration(run: MeasuredRun) -> str:

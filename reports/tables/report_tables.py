@@ -19,6 +19,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import (
     MeasuredRun,
     MetricNote,
+    limit_by_cameras,
     note_groups,
     reference_remarks,
     reference_rows,
@@ -98,7 +99,7 @@ def _main_table(
     names = {row.label: row.name for row in rows}
     means, *terms = main_captions(key, runs, results, names, metrics)
     marks, found = certainty_captions(judgements, names, results.set_aside)
-    caption = " ".join([means, *marks])
+    caption = " ".join(filter(None, [limit_by_cameras(runs), means, *marks]))
     below = (*terms, *found, *reference_remarks(references, key, notes), *remarks)
     return Table(key, title, caption, columns, (*rank(columns, rows, marked), *grey), dataset, below, judgements)
 
@@ -195,7 +196,8 @@ def main_captions(
     test, chosen = {*protocol.views.test}, {*protocol.views.sources}
     may_interchange = len(test) > 1 and (not chosen or not chosen.isdisjoint(test))  # a test view is a source of another one
     shared = [INTERCHANGE] if sources and may_interchange else []
-    return [f"{'; '.join(filter(None, (means, sources)))}.", *shared, *lacking, *marks, *_versions(results)]
+    cameras = [f"Cameras of {run.scene}: {run.calibration.describe()}." for run in runs if run.calibration]
+    return [f"{'; '.join(filter(None, (means, sources)))}.", *cameras, *shared, *lacking, *marks, *_versions(results)]
 
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import cast
 
 from ggvs_eval.progress import counted
-from ggvs_eval.reports.model.measured import MeasuredRun, captured_values, shared_references
+from ggvs_eval.reports.model.measured import MeasuredRun, captured_values, limit_by_cameras, shared_references
 from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table, format_value, signed, spread_text
 from ggvs_eval.results import Results, without_labels
 from ggvs_eval.statistics.intervals import LEVEL
@@ -224,6 +224,7 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
             others.setdefault(each.name if each.judgement.winner else "", []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
+    headline = " ".join(filter(None, [limit_by_cameras(runs), headline]))
     headline, margin = "; ".join([headline, *causes]), " ".join(filter(None, (f"{margin}.", *remedies)))
     return Verdict(headline, margin, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
 

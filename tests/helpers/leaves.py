@@ -28,7 +28,7 @@ LEAVES: dict[str, tuple[str, ...]] = {
     "depth": ("pipelines.offline.depth", "pipelines.offline.stereo"),
     "IterMVS": ("pipelines.offline.itermvs",),
     "sensor depth": ("pipelines.offline.sensor",),
-    "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate"),
+    "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate", "pipelines.run.calibration_of_run"),
     "depth page": ("pipelines.offline.export", "pipelines.run.depth_outputs", "reports.depth_page"),
     "check": ("pipelines.inspection.capture", "pipelines.commands.check", "pipelines.commands.evaluate"),
     "doctor": (

@@ -1,9 +1,11 @@
 """Rigs before textured surfaces in closed form, with features enough to be matched: a straight one, and a dome."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
@@ -25,6 +27,14 @@ def dome_rig(count: int = 14) -> list[Camera]:
     """Cameras on a ring that look at its middle, with 26 degrees between neighbours."""
     angles = 2 * np.pi * np.arange(count) / count
     return [_camera(f"cam{i:02d}", (RING_M * np.sin(a), 0.0, -RING_M * np.cos(a)), -a) for i, a in enumerate(angles)]
+
+
+def knocked(camera: Camera, rng: np.random.Generator, turn_rad: float, shift: float) -> Camera:
+    """A camera whose pose is known with errors of these standard deviations."""
+    pose = camera.world_to_camera.copy()
+    pose[:3, :3] = Rotation.from_rotvec(turn_rad * rng.normal(size=3)).as_matrix() @ pose[:3, :3]
+    pose[:3, 3] = -pose[:3, :3] @ (camera.centre + shift * rng.normal(size=3))
+    return replace(camera, world_to_camera=pose)
 
 
 def see_straight(camera: Camera) -> Image8:

@@ -38,7 +38,7 @@ QUESTION = "epipolar error"
 # Bounds for sequences that give each of hundreds of pictures a separate camera.
 MOST_JUDGES, MOST_EXPLAINED = 24, 8
 GROSS_FOCAL = 0.03
-REFINE = "refine the poses (calibrate RIG NEW --known-poses RIG --refine)"
+REFINE = "refine the poses (run with --calibration refined)"
 RECALIBRATE = f"{REFINE}, or drop this camera"
 
 
