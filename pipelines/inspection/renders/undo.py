@@ -1,9 +1,12 @@
 """Changes of the pictures that findings have measured, taken back in the views."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
 from ggvs_eval.transforms import TRANSFORMS, Transform
 
 
@@ -20,3 +23,36 @@ def undo_changes(views: Mapping[str, ViewFrames], findings: Sequence[Finding]) -
         view = undone[finding.subject]
         undone[finding.subject] = view.with_rendered(change_of(finding, view).inverse)
     return undone
+
+
+def explained_share(
+    view: ViewFrames,
+    findings: Sequence[Finding],
+    instants: int,
+    seen: Callable[[Image8], Array32],
+) -> float:
+    """Return how much of the squared error of a view its findings explain, 0 to 1 or a little below.
+
+    Args:
+        findings: of that view, in the order in which they are undone.
+        instants: number of frames that are looked at.
+        seen: frame -> what is compared of it, (H, W).
+
+    Reading:
+        Interpolation blurs, and blur alone lowers the error of a bad rendering. So the pictures without the change are compared
+        with pictures that have it twice, which are blurred alike: where the error is quadratic in the change, a quarter of the
+        difference is what the change costs.
+    """
+    changes = [change_of(finding, view) for finding in findings]
+    without, twice = view, view
+    for change in changes:
+        without = without.with_rendered(change.inverse)
+    for change in reversed(changes):
+        twice = twice.with_rendered(change.apply)
+    frames = spread(view.frames, instants)
+    errors = []
+    for version in (view, without, twice):
+        pairs = version.pairs(frames)
+        errors.append(np.mean([np.square(seen(rendered) - seen(truth)).mean() for rendered, truth in pairs]))
+    as_it_is, none, double = errors
+    return float((double - none) / 4 / max(as_it_is, 1e-9))
