@@ -32,14 +32,12 @@ class ScoredMethod:
 
     Attributes:
         values: metric -> view -> frame -> value.
-        before: methods that were asked about before it.
     """
 
     run: RunFolder
     protocol: Protocol
     label: str
     values: Mapping[str, Mapping[str, Mapping[int, float]]]
-    before: Sequence["ScoredMethod"] = ()
 
 
 class Question(Door):
@@ -50,6 +48,14 @@ class Question(Door):
 
     def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
         """Return the findings of a measured method by view: those of all questions so far, with some more or some fewer."""
+
+
+class OfScores:
+    """What a question asks of frames that is asked of scores: nothing."""
+
+    def of_view(self, _view: str, _truth: FrameReader, _numbers: range) -> FrameCheck:
+        """See `Question`."""
+        return lambda _rendered, _frames: []
 
 
 @dataclass(frozen=True)

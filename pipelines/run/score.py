@@ -194,7 +194,6 @@ def _collect(scores: Scores) -> Results:
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
     faults: list[Fault] = []
-    scored: list[ScoredMethod] = []
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
@@ -215,10 +214,9 @@ def _collect(scores: Scores) -> Results:
                 findings[view] = [Finding(**fields) for fields in record["findings"]]
             lacking = {name: why for metric in metrics.values() for name, why in metric.not_computed.items()}
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
-        method = ScoredMethod(run=run, protocol=protocol, label=label, values=values, before=tuple(scored))
+        method = ScoredMethod(run=run, protocol=protocol, label=label, values=values)
         for question in questions if is_method else ():
             findings = question.of_method(method, findings)
-        scored.append(method)
         scene = capture["scene"]
         faults += [_fault(label, scene, finding) for of_view in findings.values() for finding in of_view]
         own += _derived(protocol, values, reasons)

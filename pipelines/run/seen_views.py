@@ -12,17 +12,13 @@ from ggvs_eval.pipelines.inspection.renders.examine import COMPARED, find_seen
 from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 from ggvs_eval.pipelines.run.references import ceiling_tasks, read_ceiling
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.scoring import FrameCheck, FrameReader, ScoredMethod
+from ggvs_eval.scoring import OfScores, ScoredMethod
 
 LEAST_DB = 30.0
 
 
-class SeenViews:
+class SeenViews(OfScores):
     """The question whether a method has seen a test view, see `find_seen`; it is asked of scores, not of frames."""
-
-    def of_view(self, _view: str, _truth: FrameReader, _numbers: range) -> FrameCheck:
-        """See `Question`."""
-        return lambda _rendered, _frames: []
 
     def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
         """See `Question`."""

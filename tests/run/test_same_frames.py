@@ -25,7 +25,7 @@ RANKINGS = [Ranking("PSNR", True)]
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory) -> Path:
-    """A small capture and renders of it: `mine`, a copy of it in other PNG files, and others; nobody changes it."""
+    """A small capture and renders of it: `mine`, a copy of it, and others; nobody changes it."""
     folder = tmp_path_factory.mktemp("twins")
     capture, random = write_small_capture(folder / "room"), np.random.default_rng(3)
     protocol = replace(small_protocol(N_FRAMES, 0, ("PSNR",)), views=Views(VIEWS, "test"), frames=Frames(0, N_FRAMES))
@@ -57,7 +57,7 @@ def test_a_copy_under_a_second_name_is_not_ranked(room, tmp_path, capsys):
     assert results.set_aside == {"twin": "shows the same frames as mine"}
     (line,) = results.fault_lines()
     assert "twin shows the same frames as mine, so it is not ranked" in line
-    assert "10 of 10 frames are equal pixel by pixel" in line
+    assert "10 of 10 frames are equal byte by byte" in line
     judgement = judge(results, RANKINGS, str(results.table["dataset"][0])).judgements["PSNR"]
     assert judgement.unranked == {"twin": "shows the same frames as mine"}
     assert {judgement.best, *judgement.comparisons} == {"mine", "other"}
