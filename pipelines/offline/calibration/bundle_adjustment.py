@@ -12,12 +12,12 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
     """Triangulate what cameras share, and adjust poses and points together, in a free world.
 
     Args:
-        rig: ``lenses``: width, height, (fx, fy, cx, cy); ``cameras``: of each the number of its lens, its pose (3, 4), world
-            to camera, and its features (N, 2), pixels; ``matches``: two cameras and the numbers of their features (M, 2);
-            ``free_focal``: adjust focal lengths too.
+        rig: ``focal``: of each lens, pixels; ``cameras``: of each the number of its lens, its pose (3, 4), world to camera, and
+            its features (N, 2), pixels from the principal point; ``matches``: two cameras and the numbers of their features
+            (M, 2); ``free_focal``: adjust focal lengths too.
 
     Returns:
-        ``lenses`` (fx, fy, cx, cy), ``poses`` (3, 4), ``points_seen`` by each camera, and ``n_points``.
+        ``focal``, ``poses`` (3, 4), ``points_seen`` by each camera, and ``n_points``.
 
     Reading:
         Lenses and points in one thread: equal features give equal cameras.
@@ -25,8 +25,9 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
     import pycolmap
 
     model, graph = pycolmap.Reconstruction(), pycolmap.CorrespondenceGraph()
-    for lens_id, (width, height, params) in enumerate(rig["lenses"], start=1):
-        lens = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params, camera_id=lens_id)
+    for lens_id, focal_px in enumerate(rig["focal"], start=1):
+        size = round(focal_px)  # any: a lens whose picture is far smaller than its focal length is refused
+        lens = pycolmap.Camera(model="SIMPLE_PINHOLE", width=size, height=size, params=[focal_px, 0, 0], camera_id=lens_id)
         model.add_camera_with_trivial_rig(lens)
     for image_id, (lens, pose, features) in enumerate(rig["cameras"], start=1):
         points = pycolmap.Point2DList([pycolmap.Point2D(uv) for uv in features])
@@ -55,7 +56,7 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
         observations.filter_all_points3D(largest_px, LEAST_ANGLE_DEG)
     images = [model.images[image_id] for image_id in sorted(model.images)]
     return {
-        "lenses": [model.cameras[lens_id].params for lens_id in sorted(model.cameras)],
+        "focal": [model.cameras[lens_id].params[0] for lens_id in sorted(model.cameras)],
         "poses": [image.cam_from_world().matrix() for image in images],
         "points_seen": [image.num_points3D for image in images],
         "n_points": model.num_points3D(),

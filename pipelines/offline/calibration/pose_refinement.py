@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array
+from scipy.sparse import bsr_array, diags_array, eye_array, hstack, vstack
+from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array
@@ -73,9 +74,9 @@ def refined_views(model: Any, views: Mapping[str, Mapping[str, Any]]) -> dict[st
             them; those of images without points come back as they are.
 
     Reading:
-        A maximum a posteriori estimate: Gauss-Newton steps damped after Levenberg and Marquardt, points eliminated by the Schur
-        complement (Triggs et al., "Bundle adjustment - a modern synthesis", 2000), features weighed by the pseudo-Huber loss. The
-        prior fixes the world, its scale included.
+        A maximum a posteriori estimate: Gauss-Newton steps damped after Levenberg and Marquardt (Triggs et al., "Bundle
+        adjustment - a modern synthesis", 2000), features weighed by the pseudo-Huber loss. The prior fixes the world, its scale
+        included.
     """
     images = [image for image in sorted(model.images.values(), key=lambda image: image.name) if image.num_points3D > 0]
     if len(images) < 2:
@@ -154,34 +155,16 @@ def _step(rig: Rig, changes: Array, points: Array, damping: float) -> tuple[Arra
     scale = weights[:, None, None] / FEATURE_PX
     of_cameras = _jacobian(by_camera * scale / DIFFERENCE, rig.camera, len(changes))
     of_points = _jacobian(by_point * scale / small, rig.point, len(points))
-    residuals = (errors * weights[:, None]).ravel()
-
-    # Normal equations in blocks: cameras, points, and what ties them.
-    cameras = (of_cameras.T @ of_cameras).toarray()
-    cameras += np.diag(1 + damping * cameras.diagonal())
-    inverse = _inverse_blocks(of_points, damping)
-    tie = of_cameras.T @ of_points
-    right_cameras = -(of_cameras.T @ residuals) - changes.ravel()
-    right_points = -(of_points.T @ residuals)
-    eliminated = tie @ inverse
-    step = np.linalg.solve(cameras - (eliminated @ tie.T).toarray(), right_cameras - eliminated @ right_points)
-    shift = inverse @ (right_points - tie.T @ step)
-    return step.reshape(changes.shape), shift.reshape(points.shape)
+    prior = eye_array(changes.size, changes.size + points.size)
+    jacobian = vstack([hstack([of_cameras, of_points]), prior], format="csc")
+    residuals = np.concatenate([(errors * weights[:, None]).ravel(), changes.ravel()])
+    normal = (jacobian.T @ jacobian).tocsc()
+    damped = normal + diags_array(damping * normal.diagonal() + 1e-12, format="csc")
+    step = splu(damped, "MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(-(jacobian.T @ residuals))
+    return step[: changes.size].reshape(changes.shape), step[changes.size :].reshape(points.shape)
 
 
 def _jacobian(blocks: Array, columns: NDArray[np.int64], count: int) -> Any:
     """Return the derivatives of all features, (2 M, count * n), of blocks (M, 2, n)."""
-    size = blocks.shape[2]
-    shape = 2 * len(blocks), count * size
-    return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=shape).tocsr()
-
-
-def _inverse_blocks(of_points: Any, damping: float) -> Any:
-    """Return the inverse of the points' own block of the normal equations, 3 x 3 for each."""
-    own = (of_points.T @ of_points).tobsr(blocksize=(3, 3))
-    count = own.shape[0] // 3
-    blocks = np.zeros((count, 3, 3))
-    blocks[np.repeat(np.arange(count), np.diff(own.indptr))] = own.data
-    diagonal = np.einsum("nii->ni", blocks)
-    diagonal += damping * diagonal + 1e-12
-    return bsr_array((np.linalg.inv(blocks), np.arange(count), np.arange(count + 1)), shape=own.shape).tocsr()
+    shape = 2 * len(blocks), count * blocks.shape[2]
+    return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=shape)

@@ -21,7 +21,7 @@ from ggvs_eval.side_process import SideProcess, SideProcessError
 
 NEIGHBOURS = 8  # that each camera is matched with
 INSTANTS, LAST_INSTANT = 3, 30  # of a fixed rig, evenly spaced up to the last, since videos are decoded from their beginning
-FEWEST_OF_A_LENS = 8  # cameras that share one, on average, from which on focal lengths are free
+FEWEST_CAMERAS = 8  # from which on focal lengths are free; of fewer, a lens trades them for a turn of the camera
 FEWEST_POINTS = 20  # that a camera sees, below which it keeps its given pose
 _ADJUSTER = SideProcess(Path(bundle_adjustment.__file__))
 
@@ -56,7 +56,7 @@ def epipolar_residual(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -
 
 
 def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> tuple[tuple[Camera, ...], int]:
-    """Adjust poses, and focal lengths that enough cameras have in common, to matched features.
+    """Adjust poses, and focal lengths where there are enough cameras, to matched features; equal lenses stay equal.
 
     Args:
         path: of the capture, for errors.
@@ -71,28 +71,28 @@ def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[Matche
 
     Reading:
         The world stays: rotations of all cameras agree with the given ones best, then centres by scale and shift. A similarity
-        of the centres alone leaves a rotation open where they are on a line. Principal points stay, as in COLMAP; so does
-        distortion, which frames have been freed of.
+        of the centres alone leaves a rotation open where they are on a line. One factor moves both focal lengths of a lens;
+        principal points stay, as in COLMAP, and distortion, which frames have been freed of.
     """
-    pixel = _pixel(cameras)
-    keys = [(*camera.size, tuple((camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] / pixel).tolist())) for camera in cameras]
-    lenses = list(dict.fromkeys(keys))
+    keys = [(camera.size, camera.K.tobytes()) for camera in cameras]
+    lenses = {key: float(camera.K[0, 0]) / _pixel(cameras) for key, camera in zip(keys, cameras, strict=True)}
     numbers: list[dict[tuple[float, float], int]] = [{} for _ in cameras]  # of a camera's features, by their places
     matches: dict[tuple[int, int], list[Array]] = {}
     for pair in pairs:
         rows = []
         for camera, uv in ((pair.first, pair.uv_first), (pair.second, pair.uv_second)):
+            rays = np.column_stack([uv, np.ones(len(uv))]) @ np.linalg.inv(cameras[camera].K).T
             features = numbers[camera]
-            rows.append([features.setdefault((u, v), len(features)) for u, v in (uv / pixel).tolist()])
+            rows.append([features.setdefault((x, y), len(features)) for x, y, _ in (lenses[keys[camera]] * rays).tolist()])
         matches.setdefault((pair.first, pair.second), []).append(np.transpose(rows))
     request = {
-        "lenses": lenses,
+        "focal": list(lenses.values()),
         "cameras": [
-            (lenses.index(key), camera.world_to_camera[:3], list(features))
+            ([*lenses].index(key), camera.world_to_camera[:3], list(features))
             for key, camera, features in zip(keys, cameras, numbers, strict=True)
         ],
         "matches": [(*pair, np.unique(np.concatenate(parts), axis=0)) for pair, parts in matches.items()],
-        "free_focal": len(cameras) >= FEWEST_OF_A_LENS * len(lenses),
+        "free_focal": len(cameras) >= FEWEST_CAMERAS,
     }
     try:
         answer = _ADJUSTER.ask(request)
@@ -101,11 +101,11 @@ def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[Matche
     places = np.flatnonzero(np.array(answer["points_seen"]) >= FEWEST_POINTS).tolist()
     if len(places) < 2:
         raise CaptureError(f"{path}: wanted refined poses, got {answer['n_points']} shared points; use the given ones")
-    refined = list(cameras)
+    refined, focal = list(cameras), dict(zip(lenses, answer["focal"], strict=True))
     poses = _in_world([cameras[place] for place in places], np.array(answer["poses"])[places])
     for place, pose in zip(places, poses, strict=True):
         K = cameras[place].K.copy()
-        K[[0, 1], [0, 1]] = pixel * answer["lenses"][lenses.index(keys[place])][:2]
+        K[[0, 1], [0, 1]] *= focal[keys[place]] / lenses[keys[place]]
         refined[place] = replace(cameras[place], K=K, world_to_camera=pose)
     return tuple(refined), answer["n_points"]
 
