@@ -159,6 +159,39 @@ def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
     assert results.provenance["plugins"] == {"Worst": str(tmp_path / "mine.py")}
 
 
+OWN_METHODS = """
+import sys
+
+sys.path.insert(0, {folder!r})
+from ggvs_eval_example.blender import InverseDistance
+from ggvs_eval_example.method import NearestView
+
+METHODS = {{"inverse": InverseDistance, "nearest": NearestView}}
+"""
+
+
+@pytest.mark.slow
+@in_checkout
+@pytest.mark.usefixtures("no_figures")
+def test_the_example_methods_render_and_are_timed(tmp_path):
+    """Blending of one's own on GGVS's splats lies between the nearest picture and GGVS; a method without times has one."""
+    capture = write_small_capture(tmp_path / "room", 2)
+    (tmp_path / "mine.py").write_text(OWN_METHODS.format(folder=str(EXAMPLE)))
+    (tmp_path / "p.toml").write_text(small_protocol(2, 0, ("PSNR",)).to_toml())
+    words = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml")]
+    run_command(
+        [*words, "--methods", "ours-geometric", "inverse", "nearest", "--jobs", "1", "--plugin", str(tmp_path / "mine.py")]
+    )
+    psnr_db = Results.read(tmp_path / "run").table.groupby("method").value.mean()
+    run = RunFolder(tmp_path / "run")
+    seconds = {label: read_json(run.renders(label, "cam00") / "job.json")["seconds"] for label in ("inverse", "nearest")}
+
+    assert psnr_db["nearest"] < psnr_db["inverse"] < psnr_db["ours-geometric"]
+    assert list(seconds["inverse"]) == ["filter", "splat", "tsdf", "blend"]
+    assert list(seconds["nearest"]) == ["step"]
+    assert all(step_s > 0 for step_s in seconds["nearest"]["step"])
+
+
 @in_checkout
 def test_the_page_shows_the_example():
     """Every file of the package stands on the page as it is."""

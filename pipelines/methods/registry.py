@@ -94,5 +94,7 @@ def _as_shipped(label: str) -> MethodSpec:
         raise AbsentPartError(reason)
     if ":" in label:
         return _checked(label, imported(label))
-    suggestion = did_you_mean(label, METHODS, cutoff=0.0)
-    raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
+    suggestion = did_you_mean(label, METHODS)
+    raise RenderError(
+        f"unknown method {label!r}{suggestion or '.'} Known are {', '.join(METHODS)}; one of your own needs --plugin FILE.py"
+    )

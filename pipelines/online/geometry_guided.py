@@ -211,7 +211,9 @@ class GeometryGuided:
         (still, diagnostics), blended = side_by_side(judged, partial(self.blender.blend, inputs))
         if blended.weights is not None:
             diagnostics["weights"] = blended.weights
-        image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
+        image = np.asarray(blended.image, np.float32)
+        if chosen.compensated:
+            image = self._compensation.finish(image, target)
         if self._background is not None:
             image = self._background.step(index, target, image, surface, splats, still)
         image = self._output.step(index, target, image, still)

@@ -272,12 +272,18 @@ def run_for(
 
 
 def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
-    """Return name -> path of ``NAME=PATH`` or of a bare path, named after its last component if unused and valid."""
+    """Return name -> path of ``NAME=PATH`` or of a bare path, named after its last component if unused and valid.
+
+    Renders that are called as a built-in method is, as many call their own "ours", get another name, and a line says so.
+    """
     named: dict[str, Path] = {}
     for item in items:
         name, separator, path = item.partition("=")
         if not separator or "/" in name:  # a path may hold = too
             name, path = plain_label(Path(os.path.abspath(item)).name.split(".")[0]), item
+        elif _is_taken(name) and name != "truth":
+            taken, name = name, plain_label(name)
+            print(f"{path}: called {name} here, since {taken} is a built-in method", file=sys.stderr)
         if name in named:
             raise ProtocolError(f"--renders: {named[name]} and {path} would both be called {name}; give NAME=PATH")
         named[name] = Path(path)

@@ -320,6 +320,7 @@ def cells_of(one: Difference) -> tuple[str, ...]:
     shown = [format_value(value, one.note.decimals) for value in (one.first, one.second)]
     digits = one.note.decimals
     interval = "none" if low is None or high is None else f"{signed(low, digits)} to {signed(high, digits)}"
-    p_value = "none" if one.comparison.corrected is None else f"{one.comparison.corrected:.4f}"
+    corrected = one.comparison.corrected
+    p_value = "none" if corrected is None else "< 0.0001" if corrected < 0.0001 else f"{corrected:.4f}"
     name = f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric
     return name, one.view or "all", *shown, signed(one.comparison.difference, digits), interval, p_value, one.verdict
