@@ -221,7 +221,8 @@ def backgrounds(folder: Path, names: Iterable[str]) -> dict[str, ImageFrames]:
     files = {file.stem: ImageFrames(file) for file in list_images(folder)}
     if missing := [name for name in names if name not in files]:
         raise CaptureError(
-            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore them, or move the folder elsewhere"
+            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore them, or move "
+            "the folder elsewhere"
         )
     return files
 
