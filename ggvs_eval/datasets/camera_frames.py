@@ -187,9 +187,11 @@ def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
     """Describe what a folder holds instead of the frames of some or all cameras, and where they belong."""
     if unread := _unread(path, names):
         return f"none, but {unread}"
-    rigs = filter(_may_be_rig, index_media(path).values())
-    there = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in islice(rigs, 3))
-    return f"none, but there is {there}: call these like the cameras" if there else f"none; put them in {IN_WORDS}"
+    remedy = "call these like the cameras" if names else "give the folder of one of these"
+    groups = (group for group in index_media(path).values() if len(group.members) > 1 and not NO_CAMERA.search(group.pattern))
+    rigs = islice((group for group in groups if not all(map(str.isdecimal, group.names))), 3)
+    there = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in rigs)
+    return f"none, but there is {there}: {remedy}" if there else f"none; put them in {IN_WORDS}"
 
 
 def _unread(path: Path, names: Iterable[str]) -> str:

@@ -21,7 +21,7 @@ NO_CAMERA = re.compile(
     r"(?<![a-z])(backgrounds?|bkgd|f?masks?|bgmtv2|schp|depths?|normals?|segm\w*|flow|conf\w*|path|sparse|renders?|truth)(?![a-z])",
     re.I,
 )
-SETS = {"images", "frames", "videos"}
+SETS = {"images", "frames", "videos", "train", "val", "test"}
 INSTANT = re.compile(r"(?:frame_?)?(\d{3,9})")  # a folder of the pictures of one instant
 
 

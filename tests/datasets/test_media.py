@@ -45,6 +45,16 @@ def test_cards_of_cameras_are_a_rig(tmp_path):
     assert f"'ggvs-eval calibrate {tmp_path} RIG'" in refusal(tmp_path)
 
 
+def test_splits_are_no_cameras(tmp_path):
+    """Folders of the pictures of many cameras; one of them is a rig of stills, as the refusal says."""
+    for split, names in (("train", NAMES), ("test", NAMES[:2])):
+        for index, name in enumerate(names):
+            write_image(tmp_path / "scene" / split / f"r_{name}.png", make_image(index, 0))
+    with refused(CaptureError, "there is test/CAM.png (r_cam00, r_cam01); train/CAM.png", "give the folder of one of these"):
+        find_rig_frames(tmp_path / "scene")
+    assert len(find_rig_frames(tmp_path / "scene" / "train")) == len(NAMES)
+
+
 def test_proxies_are_no_cameras(tmp_path):
     """Every video beside one of its name and a word more."""
     write_videos(tmp_path, [*NAMES, *(f"{name}_Proxy" for name in NAMES)])
