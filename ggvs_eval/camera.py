@@ -104,9 +104,7 @@ class Camera:
                 f"camera {self.name}: the rotation must be orthonormal, got entries {deviation:.2g} off the nearest rotation's, "
                 f"where {LARGEST_DEVIATION:g} can be corrected; scaled or rounded? export the pose again"
             )
-        world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = rotation
-        world_to_camera[:3, 3] = rotation @ np.linalg.solve(self.rotation, self.translation)
+        world_to_camera = rigid(rotation, rotation @ np.linalg.solve(self.rotation, self.translation))
         world_to_camera.setflags(write=False)
         object.__setattr__(self, "world_to_camera", world_to_camera)
         object.__setattr__(self, "deviation", deviation)
@@ -253,6 +251,18 @@ class Camera:
         K = self.K.copy()
         K[:2, 2] -= (left, top)
         return replace(self, K=K, width=width, height=height)
+
+
+def rigid(rotation: Array, translation: Array) -> Array:
+    """Return a transform, (4, 4), of a rotation (3, 3) and a translation (3,)."""
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = rotation, translation
+    return transform
+
+
+def pinhole_K(fx: float, fy: float, cx: float, cy: float) -> Array:
+    """Return intrinsics without skew, pixels, (3, 3)."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def _is_near(values: Array, wanted: Array, atol: float) -> bool:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.camera import rigid
 from ggvs_eval.datasets.assemble import Crop, crop_lens
 from ggvs_eval.datasets.entries import plain_numbers, unknown_entries
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
@@ -126,7 +127,7 @@ def read_qualisys(path: Path) -> list[FileCamera]:
         size = (round(view("right") - view("left")) + 1, round(view("bottom") - view("top")) + 1)
         intrinsic = element.find("intrinsic")
         unknown = unknown_entries(path, {} if intrinsic is None else intrinsic.attrib, QUALISYS_KEYS)
-        pose = _pose(rotation, -rotation @ centre)
+        pose = rigid(rotation, -rotation @ centre)
         cameras.append(FileCamera(name, K, "opencv", coefficients, size, pose, is_metric=True, unknown=unknown))
     return cameras
 
@@ -158,7 +159,7 @@ def read_anipose(path: Path) -> list[FileCamera]:
         if _is_given(table, "rotation") or _is_given(table, "translation"):
             translation = _numbers(path, key, table, "translation", (3,)) / (MM_PER_M if is_freemocap else 1.0)
             shape = (3, 3) if np.ndim(table.get("rotation", ())) == 2 else (3,)
-            pose = _pose(_rotation(_numbers(path, key, table, "rotation", shape)), translation)
+            pose = rigid(_rotation(_numbers(path, key, table, "rotation", shape)), translation)
         model: LensModel = "fisheye" if table.get("fisheye") is True else "opencv"
         unknown = unknown_entries(path, table, TOML_KEYS)
         name = _table_name(key, table)
@@ -250,13 +251,7 @@ def _opencv_pose(file: FileStorageYaml) -> Array | None:
     if rotation is None or translation is None:
         return None
     shape = (3, 3) if len(file.matrix(rotation, None).ravel()) == 9 else (3, 1)
-    return _pose(_rotation(file.matrix(rotation, shape)), file.matrix(translation, (3, 1)).ravel())
-
-
-def _pose(rotation: Array, translation: Array) -> Array:
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, translation
-    return world_to_camera
+    return rigid(_rotation(file.matrix(rotation, shape)), file.matrix(translation, (3, 1)).ravel())
 
 
 def _rotation(values: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, pinhole_K
 from ggvs_eval.datasets.assemble import check_rig_size
 from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
 from ggvs_eval.datasets.rig import RigCamera
@@ -120,9 +120,8 @@ def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int)
     values = dict(zip(lenses[model], map(float, params), strict=True))
     kind: LensModel = "fisheye" if model.endswith("FISHEYE") else "opencv"
     keys = COEFFICIENTS["rational" if "k6" in values else kind].split()
-    fx, fy = (values.get(key, values.get("f")) for key in ("fx", "fy"))
-    K = np.array([[fx, 0.0, values["cx"]], [0.0, fy, values["cy"]], [0.0, 0.0, 1.0]])
-    return Lens(K, kind, tuple(values.get(key, 0.0) for key in keys), width, height)
+    fx, fy = (values.get(key, values.get("f", 0.0)) for key in ("fx", "fy"))
+    return Lens(pinhole_K(fx, fy, values["cx"], values["cy"]), kind, tuple(values.get(key, 0.0) for key in keys), width, height)
 
 
 class Sightings(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, RangeOrigin
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.units import GUESSED, guess_units_per_metre
+from ggvs_eval.datasets.units import GUESSED, guess_units_per_metre, nearest_to_rays
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import check_plain
@@ -89,7 +89,7 @@ def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
     if spacing == 0:
         return [(0.1, 100.0)] * len(poses)
     axes = rotations[:, 2]
-    towards = _looked_at(centres, axes) - centres
+    towards = nearest_to_rays(centres, axes) - centres
     depths = (towards * axes).sum(axis=1)
     typical = float(np.median(depths))
     missed = float(np.median(np.linalg.norm(towards - depths[:, None] * axes, axis=1)))
@@ -99,12 +99,6 @@ def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
     # A camera that looks elsewhere gets the range of the others.
     trusted = np.where((depths > typical / FAR_FACTOR) & (depths < typical * FAR_FACTOR), depths, typical)
     return [(float(NEAR_FACTOR * depth), float(FAR_FACTOR * depth)) for depth in trusted]
-
-
-def _looked_at(centres: Array, axes: Array) -> Array:
-    """Return the point nearest to all optical axes, (3,)."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
 
 
 def neighbour_distances(centres: Array) -> Array:

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.camera import rigid
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.array_file import read_numbers
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, given_crop
 from ggvs_eval.datasets.calibration_readers import FileCamera
 from ggvs_eval.datasets.camera_frames import CameraFrames, backgrounds, find_frames
@@ -86,13 +87,11 @@ def read_lenses(path: Path) -> dict[str, FileCamera]:
 
 
 def _pose(extri: FileStorageYaml, name: str) -> Array:
-    world_to_camera = np.eye(4)
     if not extri.has(f"R_{name}") or extri.has(f"Rot_{name}"):  # what is not used must make sense too
-        world_to_camera[:3, :3] = extri.matrix(f"Rot_{name}", (3, 3))
+        rotation = extri.matrix(f"Rot_{name}", (3, 3))
     if extri.has(f"R_{name}"):
-        world_to_camera[:3, :3] = cv2.Rodrigues(extri.matrix(f"R_{name}", (3, 1)))[0]
-    world_to_camera[:3, 3] = extri.matrix(f"T_{name}", (3, 1)).ravel()
-    return world_to_camera
+        rotation = cv2.Rodrigues(extri.matrix(f"R_{name}", (3, 1)))[0]
+    return rigid(rotation, extri.matrix(f"T_{name}", (3, 1)).ravel())
 
 
 def refuse(path: Path) -> str | None:
@@ -174,13 +173,9 @@ def _hull_corners(path: Path) -> Array:
     """Return the corners of the hulls' bounds in all frames, (N, 3), world."""
     corners = []
     for file in list_files(path / HULLS, (".npy",)):
-        try:
-            bounds = map_array(file)
-        except ValueError as error:
-            raise CaptureError(f"{file}: wanted bounds saved by numpy.save, got: {error}; restore it") from error
-        if bounds.shape != (2, 3) or bounds.dtype.kind not in "fiu" or not np.isfinite(bounds).all():
-            form = f"{bounds.shape} {bounds.dtype}{', not all finite' * (bounds.shape == (2, 3))}"
-            raise CaptureError(f"{file}: wanted (2, 3) finite numbers, the least and greatest corner, got {form}; restore it")
+        bounds = read_numbers(file, (2, 3), "(2, 3) finite numbers, the least and greatest corner")
+        if not np.isfinite(bounds).all():
+            raise CaptureError(f"{file}: wanted finite numbers, got NaN or infinity; restore it")
         corners.append([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     return np.array(corners, dtype=np.float64).reshape(-1, 3)
 

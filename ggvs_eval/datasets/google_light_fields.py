@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -12,13 +11,14 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.camera import pinhole_K, rigid
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, known_depths
 from ggvs_eval.datasets.camera_frames import find_frames
 from ggvs_eval.datasets.entries import plain_numbers
-from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
+from ggvs_eval.datasets.frames import ImageFrames, as_calibrated
 from ggvs_eval.datasets.layout import DatasetSpec
-from ggvs_eval.datasets.rig import RigCamera, pinhole_camera, pinhole_cameras, pinhole_rig
+from ggvs_eval.datasets.rig import RigCamera, pinhole_camera, pinhole_rig
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import find_below
@@ -33,20 +33,8 @@ CAMERA = re.compile(r"camera_\d{1,6}")
 FISHEYE: Final = "fisheye"
 
 
-@dataclass(frozen=True, eq=False)
-class CameraModel:
-    """Calibration of one camera.
-
-    Attributes:
-        K: intrinsics for an image of width x height, (3, 3).
-        world_to_camera: rigid transform, (4, 4), metres.
-        width: of the image that was calibrated, not always a whole number of pixels.
-    """
-
-    K: Array
-    world_to_camera: Array
-    width: float
-    height: float
+# K, (3, 3), the size that it is for, pixels, and world_to_camera, (4, 4), metres.
+Calibration = tuple[Array, tuple[int, int], Array]
 
 
 def load_models(file: Path) -> Any:
@@ -58,7 +46,7 @@ def load_models(file: Path) -> Any:
         raise CaptureError(f"{file}: wanted JSON, got: {reason}; copy the scene again") from error
 
 
-def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
+def read_camera_model(file: Path, model: Any, where: str) -> Calibration:
     """Read the calibration of one camera.
 
     Raises:
@@ -66,7 +54,7 @@ def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
 
     Reading:
         ``orientation`` is the rotation vector of world to camera, ``position`` the camera's centre, and the principal point
-        counts from the image's corner.
+        counts from the image's corner. Sizes of images that were scaled are seldom whole numbers, and K is brought to whole ones.
     """
     values = {key: read_numbers(file, model, key, int(count), where) for key, count in re.findall(r"(\w+) (\d)", NUMBERS)}
     focal_px, aspect = *values["focal_length"], *values["pixel_aspect_ratio"]
@@ -74,11 +62,9 @@ def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
     if width < 1 or height < 1:
         raise CaptureError(f"{file}: wanted a size of {where}, got {width:g} x {height:g}; copy the scene again")
     rotation = cv2.Rodrigues(np.array(values["orientation"]))[0]
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ values["position"]
-    K = np.array([[focal_px, 0.0, cx], [0.0, focal_px * aspect, cy], [0.0, 0.0, 1.0]])
-    return CameraModel(K, world_to_camera, width, height)
+    size = round(width), round(height)
+    K = np.diag([size[0] / width, size[1] / height, 1.0]) @ pinhole_K(focal_px, focal_px * aspect, cx, cy)
+    return K, size, rigid(rotation, -rotation @ values["position"])
 
 
 def read_numbers(file: Path, model: Any, key: str, count: int, where: str) -> list[float]:
@@ -98,7 +84,7 @@ class _SpacesView(NamedTuple):
 
     name: str
     file: Path
-    model: CameraModel
+    calibration: Calibration
 
 
 def _refuse(cameras: str, described: str, path: Path) -> str | None:
@@ -121,11 +107,9 @@ def load_positions(path: Path, units: GivenUnits) -> Capture:
     Reading:
         The images are taken for scaled, not cropped, where their size differs from that in the file.
     """
-    rig, sources = [], []
-    for view in _read_positions(path):
-        sources.append(_image(view))
-        rig.append(_placed(path / MODELS, view, sources[-1].size))
-    cameras = pinhole_cameras(rig, path / MODELS)
+    views = _read_positions(path)
+    rig = [pinhole_camera(path / MODELS, view.name, *view.calibration) for view in views]
+    cameras, sources = pinhole_rig(rig, [_image(view) for view in views], path / MODELS, path)
     return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
@@ -161,20 +145,7 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
 def _image(view: _SpacesView) -> ImageFrames:
     if not view.file.is_file():
         raise CaptureError(f"{view.file}: wanted the image of {view.name}, got none; restore it or copy the scene again")
-    return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
-
-
-def _placed(file: Path, view: _SpacesView, size: tuple[int, int]) -> RigCamera:
-    """Return the camera at the size of its image on disk."""
-    model, (width, height) = view.model, size
-    if not has_shape((width, height), (model.width, model.height)):
-        calibrated = f"{model.width:g} x {model.height:g}"
-        raise CaptureError(
-            f"{view.file}: wanted the shape of {calibrated} that {view.name} is calibrated for, got {width} x {height}; "
-            "give images that are scaled but not cropped"
-        )
-    K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
-    return pinhole_camera(file, view.name, K, size, model.world_to_camera)
+    return as_calibrated(ImageFrames(view.file), *view.calibration[1])
 
 
 SPACES_LAYOUT = DatasetSpec(
@@ -215,7 +186,7 @@ def _read_immersive(file: Path) -> list[RigCamera]:
 
 
 def _read_immersive_view(file: Path, index: int, model: Any) -> RigCamera:
-    calibrated = read_camera_model(file, model, f"camera {index}")
+    K, size, pose = read_camera_model(file, model, f"camera {index}")
     name = model.get("name")
     if not isinstance(name, str) or not CAMERA.fullmatch(name):
         raise CaptureError(f"{file}: wanted camera_XXXX as name of camera {index}, got {name!r:.60}; copy the scene again")
@@ -232,8 +203,8 @@ def _read_immersive_view(file: Path, index: int, model: Any) -> RigCamera:
             f"got {third:g}; copy the scene again"
         )
     try:
-        lens = Lens(calibrated.K, FISHEYE, (k1, k2, 0.0, 0.0), round(calibrated.width), round(calibrated.height))
-        return RigCamera(name, lens, calibrated.world_to_camera, K=lens.undistorted_K())
+        lens = Lens(K, FISHEYE, (k1, k2, 0.0, 0.0), *size)
+        return RigCamera(name, lens, pose, K=lens.undistorted_K())
     except CameraError as error:
         raise CaptureError(f"{file}: {name}: {error}") from error
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, pinhole_K, rigid
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.array_file import read_numbers
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import backgrounds
 from ggvs_eval.datasets.find_cameras import find_marked
@@ -62,7 +62,8 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
     Raises:
         CaptureError: absent, no plain array of numbers, not N x 17, or a row that is not finite.
     """
-    rows = _load_rows(path)
+    rows = read_numbers(path, (None, 17), "an N x 17 array of numbers (LLFF)")
+    check_rig_size(path, len(rows))
     spoilt = np.flatnonzero(~(np.abs(rows) < LARGEST_NUMBER).all(axis=1))
     if spoilt.size:
         numbers = ", ".join(map(str, spoilt))
@@ -85,34 +86,18 @@ def llff_pose(camera: Camera) -> LlffPose:
 def llff_camera(pose: LlffPose, name: str, path: Path) -> Camera:
     """Return the camera of a row, at the size the poses were made for; `path` is the file named in errors."""
     height, width, focal_px = pose.hwf
-    K = np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, height / 2], [0.0, 0.0, 1.0]])
     try:
+        K = pinhole_K(focal_px, focal_px, width / 2, height / 2)
         return Camera(name, K, pose.world_to_camera, round(width), round(height), pose.near, pose.far)
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
 
 
-def _load_rows(path: Path) -> Array:
-    try:
-        rows = map_array(path)
-    except ValueError as error:
-        raise CaptureError(
-            f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {error}; write it again"
-        ) from error
-    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu":
-        form = f"{rows.shape} {rows.dtype}"
-        raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {form}; write 15 pose numbers, near and far")
-    check_rig_size(path, len(rows))
-    return rows.astype(np.float64)
-
-
 def _from_row(row: Array) -> LlffPose:
     down, right, backwards, centre, hwf = row[:15].reshape(3, 5).T
     rotation = np.stack([right, down, -backwards])  # (3, 3), rows are the camera's axes in the world
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = transformed(-rotation, centre)
-    return LlffPose(world_to_camera, (float(hwf[0]), float(hwf[1]), float(hwf[2])), float(row[15]), float(row[16]))
+    height, width, focal_px, near, far = map(float, (*hwf, *row[15:]))
+    return LlffPose(rigid(rotation, transformed(-rotation, centre)), (height, width, focal_px), near, far)
 
 
 def _to_row(pose: LlffPose) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import LARGEST_DEVIATION
+from ggvs_eval.camera import LARGEST_DEVIATION, pinhole_K
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import find_frames, find_picture
@@ -272,8 +272,8 @@ def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
         return matrix[:3, :3].copy()
     if not focal:
         raise KeyError("fl_x, camera_angle_x, x_fov or K")
-    fx, fy = focal.get("x", focal.get("y")), focal.get("y", focal.get("x"))
-    K = np.array([[fx, 0, float(frame.get("cx", width / 2))], [0, fy, float(frame.get("cy", height / 2))], [0, 0, 1.0]])
+    lengths_px = list(focal.values())  # of x and y, or one for both
+    K = pinhole_K(lengths_px[0], lengths_px[-1], float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2)))
     if matrix is not None and not np.allclose(matrix[:3, :3], K, rtol=1e-3, atol=0.1):
         raise ValueError(
             f"two intrinsics of {frame['file_path']}, a matrix {np.round(matrix, 4)} and {np.round(K, 4)}; keep the right one"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, rigid
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
@@ -244,11 +244,9 @@ def _make_camera(path: Path, number: int, sequence: RgbdSequence, size: tuple[in
     if not np.allclose(camera_to_world[3], [0, 0, 0, 1]):
         last_row = f"the last row {camera_to_world[3].tolist()}"
         raise CaptureError(f"{path}: wanted a camera-to-world matrix for frame {number}, got {last_row}; export the poses again")
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = camera_to_world[:3, :3].T
-    world_to_camera[:3, 3] = -camera_to_world[:3, :3].T @ camera_to_world[:3, 3]
+    rotation = camera_to_world[:3, :3].T
     try:
-        return Camera(_name(number), sequence.K[0], world_to_camera, *size, *limits)
+        return Camera(_name(number), sequence.K[0], rigid(rotation, -rotation @ camera_to_world[:3, 3]), *size, *limits)
     except CameraError as error:
         raise CaptureError(f"{path}: pose of frame {number}: {error}") from error
 

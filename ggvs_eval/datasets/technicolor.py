@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, pinhole_K, rigid
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, known_depths
 from ggvs_eval.datasets.frames import ImageFrames
@@ -94,14 +94,12 @@ def _read_rows(file: Path) -> np.ndarray:
 def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
     from scipy.spatial.transform import Rotation
 
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(rows[:, [6, 7, 8, 5]]).as_matrix()
-    poses[:, :3, 3] = rows[:, 9:12]
     depths = known_depths("technicolor", path.resolve().name.lower())
     rig = []
-    for index, (row, pose) in enumerate(zip(rows, poses, strict=True)):
+    for index, row in enumerate(rows):
         focal_px, cu, cv, aspect = row[:4]
-        K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
+        K = pinhole_K(focal_px, aspect * focal_px, cu, cv)
+        pose = rigid(Rotation.from_quat(row[[6, 7, 8, 5]]).as_matrix(), row[9:12])
         rig.append(pinhole_camera(path / PARAMETERS, f"cam{index:02d}", K, CALIBRATED_SIZE, pose, depths))
     return pinhole_cameras(rig, path / PARAMETERS)
 

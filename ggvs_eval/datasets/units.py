@@ -86,6 +86,13 @@ def read_note(path: Path, key: str) -> float | None:
         raise CaptureError(f"{file}: wanted a number {key}, got: {error}; write the demo capture again") from error
 
 
+def nearest_to_rays(centres: Array, rays: Array) -> Array:
+    """Return the point nearest to rays of any length, (3,), from their centres, (N, 3) both."""
+    axes = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (N, 3, 3), projections onto each ray's normal plane
+    return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
+
+
 def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
     """Return the point nearest to the rays of one marked point in several images.
 
@@ -97,10 +104,7 @@ def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
         The point in the world, (3,), and the largest distance in pixels between a mark and the point's image.
     """
     rays = np.stack([camera.unproject(mark, np.array(1.0)) - camera.centre for camera, mark in zip(cameras, uv, strict=True)])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # (N, 3, 3), projections onto each ray's normal plane
-    centres = np.stack([camera.centre for camera in cameras])
-    point = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
+    point = nearest_to_rays(np.stack([camera.centre for camera in cameras]), rays)
     missed = [np.linalg.norm(camera.project(point)[0] - mark) for camera, mark in zip(cameras, uv, strict=True)]
     return point, float(max(missed))
 

@@ -121,4 +121,4 @@ def test_pose_file_that_makes_no_sense(dynerf, change, message):
 def test_pose_file_that_is_no_array(dynerf):
     """A pose file that is no npy file is not unpickled but refused."""
     (dynerf / "poses_bounds.npy").write_text("not an array")
-    assert "wanted an N x 17 array of numbers saved by numpy.save" in refusal(dynerf)
+    assert "wanted an N x 17 array of numbers (LLFF), got: " in refusal(dynerf)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, pinhole_K
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import detect_layout, open_capture
 from ggvs_eval.datasets.assemble import assemble_capture
@@ -296,5 +296,4 @@ def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Captu
 
 def placeholder_camera(name: str, width: int, height: int) -> Camera:
     """Return a camera of which only the size is known."""
-    K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
-    return Camera(name, K, np.eye(4), width, height, 1.0, 2.0)
+    return Camera(name, pinhole_K(width, width, width / 2, height / 2), np.eye(4), width, height, 1.0, 2.0)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array, Image8
+from ggvs_eval.camera import pinhole_K
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files
@@ -95,7 +96,7 @@ def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
             lens = camera.lens((width, height))
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
-        target = np.array([[width / 2, 0.0, width / 2], [0.0, width / 2, height / 2], [0.0, 0.0, 1.0]])
+        target = pinhole_K(width / 2, width / 2, width / 2, height / 2)
         found_lenses[name] = LensAndTarget(lens, target)
     return found_lenses
 
