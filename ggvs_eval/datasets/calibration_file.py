@@ -9,7 +9,6 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.calibration_readers import (
-    LARGEST_XML_BYTES,
     FileCamera,
     read_anipose,
     read_opencv,
@@ -17,6 +16,7 @@ from ggvs_eval.datasets.calibration_readers import (
 )
 from ggvs_eval.datasets.camera_frames import find_frames
 from ggvs_eval.datasets.easymocap import read_lenses
+from ggvs_eval.datasets.filestorage_yaml import LARGEST_FILE_BYTES
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.media import folders_beside
 from ggvs_eval.datasets.rig import RigCamera, pinhole_rig
@@ -170,7 +170,7 @@ def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamer
 def _text(file: Path) -> str:
     """Return the text of a file; none if it cannot be read."""
     try:
-        return read_plain_text(file, LARGEST_XML_BYTES)
+        return read_plain_text(file, LARGEST_FILE_BYTES)
     except (OSError, UnicodeDecodeError):
         return ""
 

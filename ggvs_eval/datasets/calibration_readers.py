@@ -17,13 +17,12 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import rigid
 from ggvs_eval.datasets.assemble import Crop, crop_lens
 from ggvs_eval.datasets.entries import plain_numbers, unknown_entries
-from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
+from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, read_camera_text, refused
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
+from ggvs_eval.files.plain import comma_hint, read_plain_text
 from ggvs_eval.files.toml_tables import read_toml
 from ggvs_eval.lens import PIXEL_CENTRE, Lens, LensModel, check_K_size
 
-LARGEST_XML_BYTES = 1 << 22
 LARGEST_NUMBER = 1e9
 SUBPIXELS, MM_PER_M = 64.0, 1000.0
 # Qualisys' camera looks along its -z with y up, OpenCV's along z with y down.
@@ -112,7 +111,8 @@ def read_qualisys(path: Path) -> list[FileCamera]:
         ``fov_video``.
     """
     cameras = []
-    for element in _parse_xml(path).iter("camera"):
+    text = read_camera_text(path, "a Qualisys calibration")
+    for element in parse_xml(path, text, "the XML of a Qualisys calibration").iter("camera"):
         name = element.get("serial") or ""
         transform, inner, view = (_xml_numbers(path, element, tag) for tag in ("transform", "intrinsic", "fov_video"))
         rows = [[transform(f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)]
@@ -257,15 +257,6 @@ def _opencv_pose(file: FileStorageYaml) -> Array | None:
 def _rotation(values: Array) -> Array:
     """Return a rotation matrix of itself, or of Rodrigues' vector."""
     return values if values.shape == (3, 3) else np.asarray(cv2.Rodrigues(values.reshape(3, 1))[0], np.float64)
-
-
-def _parse_xml(path: Path) -> ElementTree.Element:
-    try:
-        return parse_xml(path, read_plain_text(path, LARGEST_XML_BYTES), "the XML of a Qualisys calibration")
-    except OSError as error:
-        raise CaptureError(f"{path}: wanted a Qualisys calibration, got {why_unread(error)}; restore it") from error
-    except UnicodeError as error:
-        raise refused(path, "the XML of a Qualisys calibration", str(error)) from error
 
 
 def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:

@@ -35,7 +35,7 @@ class FileStorageYaml:
     def __init__(self, path: Path, is_plain: bool = False) -> None:
         self.path = path
         self.entries: dict[str, str] = {}
-        text = _read_text(path).lstrip("\ufeff")
+        text = read_camera_text(path).lstrip("\ufeff")
         lines = text.splitlines()
         if text.lstrip().startswith("<"):
             self._read_xml(text)
@@ -169,13 +169,14 @@ def _unquoted(text: str) -> str:
     return stripped[1:-1] if len(stripped) > 1 and stripped[0] in "\"'" and stripped[-1] == stripped[0] else stripped
 
 
-def _read_text(path: Path) -> str:
+def read_camera_text(path: Path, form: str = "a camera file") -> str:
+    """Return the text of a camera file, which is not empty."""
     try:
         text = read_plain_text(path, LARGEST_FILE_BYTES)
     except OSError as error:
-        raise CaptureError(f"{path}: wanted a camera file, got {why_unread(error)}; restore it") from error
+        raise CaptureError(f"{path}: wanted {form}, got {why_unread(error)}; restore it") from error
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it") from error
     if not text:
-        raise CaptureError(f"{path}: wanted a camera file, got an empty one; restore it")
+        raise CaptureError(f"{path}: wanted {form}, got an empty one; restore it")
     return text

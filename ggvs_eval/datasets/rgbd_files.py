@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, nearest_rotation
+from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, nearest_rotation, rigid
 from ggvs_eval.datasets.assemble import check_rig_size
+from ggvs_eval.datasets.instants import find_partners
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_files, list_images
 from ggvs_eval.files.names import listed, numbers_in
@@ -213,13 +214,14 @@ def _read_tum(path: Path) -> RgbdSequence:
         )
     values = np.array(rows)
     check_rig_size(path, len(colour))
+    values = values[values[:, 0].argsort()]
+    stamps = {"colour": np.array(sorted(colour)), "depth": np.array(sorted(depth)), "pose": values[:, 0]}
     images, depths, poses = {}, {}, {}
-    for index, stamp in enumerate(sorted(colour)):
-        nearest_depth = min(depth, key=lambda each: abs(each - stamp), default=np.inf)
-        row = values[np.abs(values[:, 0] - stamp).argmin()]
-        if max(abs(nearest_depth - stamp), abs(row[0] - stamp)) <= SAME_INSTANT_S and row[4:].any():
-            images[index], depths[index], poses[index] = colour[stamp], depth[nearest_depth], np.eye(4)
-            poses[index][:3, :3], poses[index][:3, 3] = Rotation.from_quat(row[4:]).as_matrix(), row[1:4]
+    for index, of_depth, of_pose in zip(*find_partners(stamps, SAME_INSTANT_S).values(), strict=True):
+        row = values[of_pose]
+        if row[4:].any():
+            images[index], depths[index] = colour[stamps["colour"][index]], depth[stamps["depth"][of_depth]]
+            poses[index] = rigid(Rotation.from_quat(row[4:]).as_matrix(), row[1:4])
     left = len(colour) - len(images)
     note = f"{left} of {len(colour)} frames omitted: no depth and pose within {SAME_INSTANT_S:g} s" if left else ""
     K, assumed = _stated_K(path, images.values(), TUM_K, "TUM RGB-D")
