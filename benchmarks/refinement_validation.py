@@ -22,8 +22,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.training.samples.samples import SampleMaker
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.depth_options import DepthRunOptions
+from ggvs_eval.files.colmap_text import Sightings, write_model
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.jobs.processes import finish_all, worker_pool

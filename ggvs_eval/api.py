@@ -34,6 +34,7 @@ from ggvs_eval import (
     side_process,
 )
 from ggvs_eval.datasets import (
+    array_file,
     assemble,
     camera_frames,
     colmap_model,
@@ -43,13 +44,13 @@ from ggvs_eval.datasets import (
     entries,
     find_cameras,
     frames,
+    instants,
     llff,
     media,
     open_capture,
     rig,
     units,
 )
-from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
@@ -59,6 +60,7 @@ from ggvs_eval.datasets.unread_files import unused_note
 from ggvs_eval.files import (
     atomic,
     coding,
+    colmap_text,
     digest,
     download,
     images,

@@ -71,7 +71,7 @@ class Extras:
 
 @dataclass(frozen=True)
 class CaptureEdit:
-    """Changes to a capture as it is read; `ggvs_eval.datasets.capture_edit.perturb_capture` makes them.
+    """Changes to a capture as it is read; `ggvs_eval.capture_edit.perturb_capture` makes them.
 
     Attributes:
         hold_frames: number of instants for which one is held still; 0 lets time continue as it did.

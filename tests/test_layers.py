@@ -20,7 +20,7 @@ FLOORS = (
     ("camera", "progress", "plugins", "raft_update", "side_process"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps", "transforms"),
-    ("depth_options", "protocol", "gaussians", "tasks.identity"),
+    ("capture_edit", "depth_options", "protocol", "gaussians", "tasks.identity"),
     ("measured_frames", "run_folder", "results", "sweep"),
     ("tasks.task",),
     ("depth_store",),

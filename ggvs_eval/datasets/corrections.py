@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, Extras, FrameSource
-from ggvs_eval.datasets.capture_edit import picked, picked_extras
+from ggvs_eval.capture_edit import picked, picked_extras
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_values

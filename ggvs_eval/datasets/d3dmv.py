@@ -25,7 +25,7 @@ def refuse(path: Path) -> str | None:
     if not path.is_dir() or not (path / POSES).is_file():
         return f"no SCENE.h5, no {POSES}"
     parents = ("", "frames/") if (path / BACKGROUND).is_dir() else ("",)
-    is_filmed = any(members(path, f"{parent}CAM/", r"cam\d+") for parent in parents)
+    is_filmed = members(path, [f"{parent}CAM/" for parent in parents], r"cam\d+")
     return None if is_filmed else f"{POSES}, but neither frames/camXX/ with {BACKGROUND}/ nor camXX/*.jpg"
 
 

@@ -99,7 +99,7 @@ def refuse(path: Path) -> str | None:
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
-    is_filmed = any(members(path, pattern, ".*") for pattern in ("images/CAM/", "videos/CAM.mp4"))
+    is_filmed = members(path, ("images/CAM/", "videos/CAM.mp4"), ".*")
     return None if is_filmed else "no folders images/XX/ and no videos/XX.mp4"
 
 

@@ -1,6 +1,7 @@
 """One index shows one instant in all cameras: by the times of frames or the numbers of pictures, else by their order."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,11 +9,13 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Extras, FrameSource, source_chain
-from ggvs_eval.datasets.capture_edit import picked, picked_extras
+from ggvs_eval.capture_edit import picked, picked_extras
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.datasets.time_tables import read_times
+from ggvs_eval.datasets.media import match_cameras
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.names import Fields, Number, is_stamp, listed
+from ggvs_eval.files.listing import list_files_below
+from ggvs_eval.files.names import Fields, Number, clock_s, is_stamp, listed
+from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
@@ -22,6 +25,11 @@ LARGEST_DIFFERENCE = 2e-4
 LARGEST_LAG = 0.5  # steps between frames of one instant: farther off, the next frame is nearer
 SAME_TIME = 1e-3  # steps that rounded times are off
 GAP_STEPS = 1.5  # at twice a step a frame is missing
+
+TIMES = re.compile(r"time|stamp|sync", re.I)
+TABLES, DEEPEST = (".csv", ".tsv", ".txt"), 2
+TIME, CAMERA = re.compile(r"time|stamp|pts", re.I), re.compile(r"cam|device|view|port|serial", re.I)  # columns
+Rows = list[list[str]]
 
 
 class Aligned(NamedTuple):
@@ -197,3 +205,90 @@ def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]
     """Return the video of each camera, also behind an undistortion; None if its frames are images."""
     files = {name: list(source_chain(source))[-1] for name, source in sources.items()}
     return {name: file if isinstance(file, VideoFrames) else None for name, file in files.items()}
+
+
+class FrameTimes(NamedTuple):
+    """When the frames of cameras were taken.
+
+    Attributes:
+        times: of each camera in ascending order, (T,), in any unit; none where no table has those of all.
+        files: that have them, relative to the capture.
+        notes: why a table with times is not used.
+    """
+
+    times: Mapping[str, Array]
+    files: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def read_times(path: Path, counts: Mapping[str, int]) -> FrameTimes:
+    """Return the times of a table of all cameras, or of one table per camera, up to two levels below a capture.
+
+    Args:
+        counts: frames of each camera.
+
+    Reading:
+        A table of all cameras has a column that names them and a row per frame, or a column per camera. Times ascend; they are
+        the column that is called so, else the last one that ascends.
+    """
+    if min(counts.values()) < 2:
+        return FrameTimes({})
+    names = [str(file.relative_to(path)) for file in list_files_below(path, TABLES, DEEPEST)]
+    tables = {name: _rows(path / name) for name in names if TIMES.search(name)}
+    of_cameras = match_cameras(counts, tables).names
+    candidates = [([name], _of_all(rows, counts)) for name, rows in tables.items()]
+    candidates.append(([*of_cameras.values()], {camera: _times(tables[name]) for camera, name in of_cameras.items()}))
+    notes = []
+    for files, times in candidates:
+        odd = [f"{camera} {len(row)} of {counts[camera]} frames" for camera, row in times.items() if len(row) != counts[camera]]
+        if len(times) == len(counts) and not odd:
+            return FrameTimes({camera: times[camera] for camera in counts}, files)
+        notes += [f"times in {listed(files)} are not used: {listed(odd)}"] if odd and all(map(len, times.values())) else []
+    return FrameTimes({}, notes=notes)
+
+
+def _rows(file: Path) -> Rows:
+    """Return the cells of a table, those of its head first; empty if it cannot be read."""
+    try:
+        lines = read_plain_text(file).splitlines()
+    except (OSError, ValueError):
+        return []
+    parting = r"[,;\t]" if re.search(r"[,;\t]", lines[0]) else r"\s+"
+    rows = [[cell.strip(' "#') for cell in re.split(parting, line.strip())] for line in lines if line.strip()]
+    return [row for row in rows if len(row) == len(rows[0])]
+
+
+def _of_all(rows: Rows, cameras: Collection[str]) -> dict[str, Array]:
+    """Return the times of each camera in a table of all; none if it is another table."""
+    head, *body = rows or [[]]
+    of_camera = match_cameras(cameras, head).names
+    if len(of_camera) == len(cameras):
+        columns = {camera: head.index(name) for camera, name in of_camera.items()}
+        return {camera: _times([[row[index]] for row in body if row[index]]) for camera, index in columns.items()}
+    if any(_value(cell) is not None for cell in head):
+        head, body = [""] * len(head), rows
+    for index in sorted(range(len(head)), key=lambda index: not CAMERA.search(head[index])):
+        of_camera = match_cameras(cameras, {row[index] for row in body}).names
+        if len(of_camera) == len(cameras):
+            return {camera: _times([head, *(row for row in body if row[index] == name)]) for camera, name in of_camera.items()}
+    return {}
+
+
+def _times(rows: Rows) -> Array:
+    """Return the column of times in the rows of a camera, (T,); empty if there is none."""
+    body = rows if all(_value(cell) is not None for cell in rows[0]) else rows[1:]
+    ascending: list[tuple[bool, int, Array]] = []
+    for title, cells in zip(rows[0], zip(*body, strict=True), strict=False):
+        values = np.array([np.nan if (value := _value(cell)) is None else value for cell in cells])
+        if len(values) > 1 and (np.diff(values) > 0).all():
+            ascending.append((bool(TIME.search(title)), len(ascending), values))
+    return max(ascending, key=lambda column: column[:2])[2] if ascending else np.empty(0)
+
+
+def _value(cell: str) -> float | None:
+    """Return a number, or a time of day in seconds."""
+    try:
+        return float(cell)
+    except ValueError:
+        time_s = clock_s(cell)
+        return None if time_s is None else float(time_s)

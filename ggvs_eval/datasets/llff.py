@@ -21,7 +21,7 @@ from ggvs_eval.datasets.camera_frames import backgrounds
 from ggvs_eval.datasets.find_cameras import find_marked
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
-from ggvs_eval.datasets.media import CameraFrames, index_media, members
+from ggvs_eval.datasets.media import CameraFrames, members
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
@@ -32,7 +32,7 @@ from ggvs_eval.kernels.portable import transformed
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100
 POSES = "poses_bounds.npy"
-CAMERA_NAME = re.compile(r"(?:cam)?\d+")
+CAMERA_NAME = r"(?:cam)?\d+"
 FRAMES = ("", "frames/")
 
 
@@ -147,12 +147,7 @@ def load_dynerf(path: Path, units: GivenUnits, layout: str = "dynerf") -> Captur
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:
     """Return the frames of each camera in the order of names, by the first arrangement that is there."""
-    index = index_media(path)
-    for place in PLACES:
-        named = dict(index[place].members) if place in index else {}
-        if sources := {name: named[name] for name in sorted(named) if CAMERA_NAME.fullmatch(name)}:
-            return dict(sources)
-    return next((dict(sorted(index[place].members)) for place in STILLS if place in index), {})
+    return {**(members(path, PLACES, CAMERA_NAME) or members(path, STILLS, ".*"))}
 
 
 def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
@@ -162,7 +157,7 @@ def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
         CaptureError: numbers in names without leading zeros, which have no safe order, or another number of rows.
     """
     check_rig_size(file, len(names))
-    lengths = {len(name): name for name in names if CAMERA_NAME.fullmatch(name)}
+    lengths = {len(name): name for name in names if re.fullmatch(CAMERA_NAME, name)}
     if len(lengths) > 1:
         mismatch = f"{lengths[min(lengths)]} and {lengths[max(lengths)]}"
         raise CaptureError(
@@ -241,12 +236,12 @@ def load_meetroom(path: Path, units: GivenUnits) -> Capture:
 
 def _numbered(path: Path) -> tuple[dict[int, CameraFrames], Path]:
     """Return camera number -> its frames, and the pose file: beside the videos, or in the folder of the first instant."""
-    videos = members(path, "CAM.mp4", r"cam_\d{1,4}")
+    videos = members(path, ["CAM.mp4"], r"cam_\d{1,4}")
     if videos:
         return {int(name.removeprefix("cam_")): video for name, video in videos.items()}, path / POSES
     for place in FRAMES:
         poses = min((path / place).glob(f"[0-9]*/{POSES}"), default=None)
-        pictures = members(path, f"{place}*/images/CAM.png", r"cam\d{1,4}")
+        pictures = members(path, [f"{place}*/images/CAM.png"], r"cam\d{1,4}")
         if poses and pictures:
             return {int(name.removeprefix("cam")): frames for name, frames in pictures.items()}, poses
     return {}, path / POSES

@@ -1,7 +1,7 @@
 """The one index of media: all videos, folders of pictures and single pictures below a folder, and whose frames they are."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from os.path import commonprefix
@@ -85,10 +85,12 @@ def index_media(scene: Path) -> dict[str, MediaGroup]:
     return index
 
 
-def members(scene: Path, pattern: str, form: str) -> dict[str, CameraFrames]:
-    """Return the members of one group whose names are of one form, a regular expression, in the order of names."""
-    group = index_media(scene).get(pattern, MediaGroup(pattern, []))
-    return {name: frames for name, frames in group.members if re.fullmatch(form, name)}
+def members(scene: Path, patterns: Sequence[str], form: str) -> dict[str, CameraFrames]:
+    """Return those whose names are of one form, a regular expression, in their order; of the first group that has any."""
+    index = index_media(scene)
+    groups = (index[pattern].members for pattern in patterns if pattern in index)
+    named = ({name: frames for name, frames in group if re.fullmatch(form, name)} for group in groups)
+    return next(filter(None, named), {})
 
 
 def folders_beside(scene: Path) -> list[Path]:

@@ -97,7 +97,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         names = list(found.sources)
         sources = list(found.sources.values())
     unknown = sorted({key for name in names for key in unknown_entries(files[0], frames[name], KNOWN)})
-    notes += [f"{_named(files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
+    notes += [f"{listed(file.name for file in files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
     rig = [_rig_camera(files[0], name, frames[name], source) for name, source in zip(names, sources, strict=True)]
     lengths = {name: frame[AXES_LENGTH] for name, frame in frames.items() if abs(frame[AXES_LENGTH] - 1) > 2 * LARGEST_DEVIATION}
     if lengths:
@@ -111,10 +111,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
     return assemble_capture(
         path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=test_views
     )
-
-
-def _named(files: Sequence[Path]) -> str:
-    return ", ".join(file.name for file in files)
 
 
 def _files(path: Path) -> list[Path]:
@@ -136,16 +132,12 @@ def _read_rig(files: Sequence[Path]) -> dict[str, dict[str, Any]]:
     return dict(zip(names, described, strict=True))
 
 
-def _split(file: Path) -> str:
-    return file.stem.rpartition("_")[2]
-
-
 def _read_frames(file: Path) -> list[dict[str, Any]]:
     """Entries of the cameras of a file; keys that a frame lacks are taken from the top of the file."""
     try:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(file, len(values["frames"]))
-        given = {**values, SPLIT: _split(file)}
+        given = {**values, SPLIT: file.stem.rpartition("_")[2]}
         described = [{**given, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
         for frame in described:
             frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from ggvs_eval.datasets.assemble import CROP_FILE
-from ggvs_eval.datasets.time_tables import TIMES
+from ggvs_eval.datasets.instants import TIMES
 from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
+from ggvs_eval.capture_edit import perturb_capture
 from ggvs_eval.datasets import DATASETS, DEPTH_FILES, open_capture
-from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.depth_options import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.errors import CaptureError, CommandError

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
+from ggvs_eval.capture_edit import perturb_capture
 from ggvs_eval.coverage import lacks_path, read_coverage, require_imported
 from ggvs_eval.datasets import DEPTH_FILES, open_capture
-from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import Failure, ResultsError
 from ggvs_eval.files.atomic import remove_leftovers

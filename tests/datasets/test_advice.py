@@ -715,7 +715,8 @@ def test_an_edit_that_is_advised_is_enough(tmp_path, advice, edit):
 
 # What says no more than that the input is damaged, or what of it: the same input without the damage opens.
 UNDO = re.compile(
-    r"restore|export it|(copy|export|convert|calibrate|track|write|open)\b.* again|write it by|correct|check the path|see \S+|there are"
+    r"restore|export it|(copy|export|convert|calibrate|track|write|open)\b.* again|write it by|correct|check the path|"
+    r"see \S+|there are"
 )
 # Not followed: data that is not at hand, or of no refusal of a capture on disk.
 NOT_FOLLOWED = (

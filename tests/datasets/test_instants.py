@@ -5,8 +5,7 @@ import pytest
 
 from ggvs_eval.capture import Extras
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.instants import align_instants
-from ggvs_eval.datasets.time_tables import read_times
+from ggvs_eval.datasets.instants import align_instants, read_times
 from ggvs_eval.files.images import write_image
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, refusal, write_poses, write_timed_video
 

@@ -130,7 +130,10 @@ def test_paths_out_of_the_scene(scene, path):
         (lambda models: models[0][1].update(width=float("inf")), "a finite number as width"),
         (lambda models: models[0][1].update(width=10**400), "a finite number as width"),
         (lambda models: models[0][1].update(height=0), "wanted a size of camera 1 of rig position 0, got 80 x 0"),
-        (lambda models: models[0][1].update(height=50.0), "image_000.JPG: frames of 80 x 48 have another shape than the 80 x 50 that pos00_cam01"),
+        (
+            lambda models: models[0][1].update(height=50.0),
+            "image_000.JPG: frames of 80 x 48 have another shape than the 80 x 50",
+        ),
         (lambda models: models[0][1].update(focal_length=-3.0), "pos00_cam01: lens: K must be"),
         (lambda models: models[0].append("camera"), "camera 3 of rig position 0, got 'camera' for the camera"),
         (lambda models: [], "wanted a list over rig positions of lists of cameras"),

@@ -16,8 +16,8 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
-from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.colmap_text import Sightings, write_model
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.lens import Lens

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from ggvs_eval.capture import CaptureEdit
-from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.capture_edit import perturb_capture
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.gaussians import write_ply
 from ggvs_eval.pipelines.commands.main import run_command

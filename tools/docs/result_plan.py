@@ -50,7 +50,7 @@ CAPTURES = {
     "film": ("ggvs_eval.contrib.worlds.film", "ggvs_eval.contrib.worlds.room"),
 }  # verb -> rooms
 MEANS = ("ggvs_eval.results", "ggvs_eval.statistics")
-EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.datasets.capture_edit"
+EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.capture_edit"
 STREAMED = ("ggvs_eval.pipelines.run.screens", "ggvs_eval.metrics.time.on_screen")
 REPORTED = {"drift": "timing", "price": "costs", "costs": "costs", "seeds": "costs"}  # tables of a report, by their modules
 PLAIN = "report_tables"  # ... and of all others

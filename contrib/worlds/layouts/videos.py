@@ -21,10 +21,10 @@ from ggvs_eval.contrib.worlds.film.raycast import (
 )
 from ggvs_eval.contrib.worlds.film.shots import fisheye_shots, rig_of
 from ggvs_eval.contrib.worlds.room.lighting import Instant
-from ggvs_eval.datasets.colmap_model import FILES, Sightings, write_model
 from ggvs_eval.datasets.depth_range import DEPTH_RANGE_FILE, write_depth_range
 from ggvs_eval.datasets.google_light_fields import MODELS
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
+from ggvs_eval.files.colmap_text import FILES, Sightings, write_model
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.kernels.portable import rotation_vector

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_folder, write_bytes
+from ggvs_eval.files.colmap_text import Sightings, write_model
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.pinhole import as_image, as_image8
 from ggvs_eval.pipelines.offline.export.surfaces import LEAST_CONFIDENCE, surface_normals

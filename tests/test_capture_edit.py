@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import CaptureEdit, Extras
+from ggvs_eval.capture_edit import PickedFrames, perturb_capture
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.capture_edit import PickedFrames, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.flags import CaptureOptions
