@@ -305,7 +305,7 @@ ELSEWHERE = {
     "by `ggvs-eval check`": "a source",
     "by COLMAP (`ggvs-eval calibrate`)": "a source",
 }
-PRINTS = re.compile(r"ffmpeg |ggvs-eval [a-z]+|exiftool")
+PRINTS = re.compile(r"ffmpeg -|ggvs-eval [a-z]+|exiftool")
 
 
 def texts(file: Path) -> Iterator[str]:
