@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
 from ggvs_eval.contrib.explain.conventions import ALL_VIEWS, MaskReader, Masks, Recomputed, Views, conventions
+from ggvs_eval.contrib.explain.frame_conventions import OUR_LPIPS
+from ggvs_eval.contrib.explain.ssim_conventions import OUR_SSIM, TORCH_MULTI_SCALE
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import list_images
@@ -38,6 +40,12 @@ MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 FAST_TRUTH = "as this tool, truth decoded by OpenCV, imageio or plain ffmpeg"
 BOX = re.compile(r"\d+(,\d+){3}")
+USERS = {  # of conventions in the tables that ship, by the code at the commits of published_terms.csv
+    OUR_SSIM: "K-Planes, RF-DeRF, ViP-NeRF and SimpleNeRF",
+    OUR_LPIPS: "K-Planes and RF-DeRF",
+    "AlexNet, inputs in [-1, 1]": "ViP-NeRF and SimpleNeRF",
+    TORCH_MULTI_SCALE: "K-Planes and RF-DeRF",
+}
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 FAMILIES: Registry[Callable[[Views, Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
 
@@ -253,7 +261,8 @@ def _share_text(share: float) -> str:
 
 
 def _full_name(convention: Convention) -> str:
-    return convention.name + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
+    users = f" ({USERS[convention.name]} measure so)" if convention.name in USERS else ""
+    return convention.name + users + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
 
 
 def read_masks(where: str, views: Views, measurement: Measurement) -> Masks:

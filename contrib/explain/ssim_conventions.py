@@ -47,17 +47,19 @@ from ggvs_eval.contrib.explain.preparations import (
 )
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metric_choices import StedPairing
-from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
+from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, WEIGHTS, ms_ssim
 from ggvs_eval.metrics.image.ssim import ssim_map, ssim_variant
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-GAUSSIAN: dict[str, Any] = {"side": 11, "sigma": 1.5, "unbiased": False}
+GAUSSIAN_WINDOW: dict[str, Any] = {"side": 11, "sigma": 1.5}
+GAUSSIAN: dict[str, Any] = {**GAUSSIAN_WINDOW, "unbiased": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
 UNIFORM_11 = "uniform 11 x 11, range 1 (scikit-image, win_size 11)"
 ZERO_PADDED = "Gaussian 11 x 11, zero-padded, range 1 (3DGS)"
 MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
+TORCH_MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11, coarsest border reflected (torchmetrics)"
 UNIFORM_RANGE_2 = "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)"
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
 DIVISORS = {"ddof 1": 1, "ddof 0": 0}
@@ -74,7 +76,7 @@ def ssim_conventions(views: Views, masks: Masks, ours: tuple[str, ...] = (OUR_SS
     is_boxed = _box_side(shortest_px) > 1
     measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
     if shortest_px >= SMALLEST_PX:
-        measures[MULTI_SCALE] = ms_ssim
+        measures |= {MULTI_SCALE: ms_ssim, TORCH_MULTI_SCALE: torch_ms_ssim}
     plain = (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
     masked: dict[str, FrameMeasure] = {
         f"{OUR_SSIM}, windows inside the mask": partial(_inside, partial(ssim_map, name="gaussian-valid")),
@@ -163,6 +165,31 @@ def _averaged_boxes(image: Levels) -> Levels:
     rows, columns = (size // side for size in image.shape[:2])
     boxes = image[: rows * side, : columns * side].reshape(rows, side, columns, side, *image.shape[2:])
     return boxes.mean(axis=(1, 3))
+
+
+def torch_ms_ssim(rendered: Levels, truth: Levels) -> float:
+    """MS-SSIM as TorchMetrics computes it.
+
+    Each scale is one mean over channels, odd rows and columns are dropped, and the coarsest scale has windows at every
+    pixel, its border reflected.
+    """
+    pair, product = (rendered.astype(np.float64), truth.astype(np.float64)), 1.0
+    small, large = 0.01**2, 0.03**2
+    for scale, weight in enumerate(WEIGHTS):
+        scores = []
+        is_last = scale == len(WEIGHTS) - 1
+        border = cv2.BORDER_REFLECT_101 if is_last else None
+        for squares, products, variances, covariance in _moments(*pair, **GAUSSIAN_WINDOW, border=border)[0]:
+            contrast = (covariance + large) / (variances + large)
+            scores.append(contrast * (products + small) / (squares + small) if is_last else contrast)
+        product *= max(float(np.concatenate(scores).mean()), 0.0) ** weight
+        pair = _halved(pair[0]), _halved(pair[1])
+    return product
+
+
+def _halved(image: Levels) -> Levels:
+    rows, columns = (size // 2 for size in image.shape[:2])
+    return image[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, -1).mean(axis=(1, 3))
 
 
 def similarity(

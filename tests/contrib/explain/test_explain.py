@@ -363,6 +363,17 @@ def test_multi_scale_ssim_is_that_of_its_library():
     assert ms_ssim(truth, truth) == 1
 
 
+def test_multi_scale_ssim_of_torchmetrics_is_another_number():
+    """MS-SSIM of TorchMetrics 1.9, ``data_range=1.0`` in double precision, as K-Planes and RF-DeRF compute it; said so."""
+    rendered, truth = large_pair()
+    view = {"cam00": ViewFrames(lambda t: rendered, lambda t: truth, range(1))}
+    conventions = explain("ms-ssim", "0.96461", view)
+    (name,) = (one.name for one in conventions if one.matches)
+
+    assert name == "MS-SSIM, five scales, Gaussian 11 x 11, coarsest border reflected (torchmetrics)"
+    assert "(K-Planes and RF-DeRF measure so)" in " ".join(explanation_table("ms-ssim", "0.96461", conventions).split())
+
+
 def absolute(rendered, truth) -> float:
     return float(np.abs(rendered.astype(float) - truth).mean())
 
