@@ -38,6 +38,7 @@ SYMPTOMS = {
     "channel order": "has swapped colour channels",
     "mirrored": "is mirrored",
     "blank frames": "has blank frames",
+    "flicker": "flickers as a whole",
     "test view seen": "was trained on the test view",
 }
 

@@ -225,7 +225,10 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
     headline = " ".join(filter(None, [limit_by_cameras(runs), headline]))
-    headline, margin = "; ".join([headline, *causes]), " ".join(filter(None, (f"{margin}.", *remedies)))
+    headline, margin = (
+        "; ".join([headline, *causes, *_suspicions(runs, results)]),
+        " ".join(filter(None, (f"{margin}.", *remedies))),
+    )
     return Verdict(headline, margin, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
 
 
@@ -239,6 +242,14 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
         if todo := faults[label].remedy if label in faults else "Render the missing frames and score again.":
             remedies.setdefault(f"{todo[0].lower()}{todo[1:]}", []).append(names[label])
     return [f"{names[label]} {why}" for label, why in here.items()], [f"{', '.join(of)}: {todo}" for todo, of in remedies.items()]
+
+
+def _suspicions(runs: Sequence[MeasuredRun], results: Results) -> list[str]:
+    """Return likely faults of methods that are ranked all the same, one of each, in words."""
+    names = {label: run.names.get(label, label) for run in runs for label in run.labels}
+    likely = {fault.label: fault for fault in reversed(results.faults) if not fault.is_certain}
+    ranked = [label for label in names if label in likely and label not in results.set_aside]
+    return [f"{names[label]} {likely[label].words} (likely)" for label in ranked]
 
 
 def _worth(one: Comparison, decimals: int | None) -> str:

@@ -175,6 +175,29 @@ def test_renders_better_than_a_perfect_one_have_seen_the_view(room, tmp_path):
     assert find_seen_views(made, "mine") == []
 
 
+@pytest.mark.slow
+def test_flickering_renders_are_ranked_and_say_so(room, tmp_path, monkeypatch):
+    """`score`, the table and the headline name the flicker, which is likely; steady renders have nothing."""
+    leave_out_figures(monkeypatch)
+    for file in room.glob("mine/*/*.png"):
+        gain = 1.03 if int(file.stem) % 2 else 0.97
+        image = np.rint(gain * read_image(file).astype(float)).clip(0, 255).astype(np.uint8)
+        write_image(tmp_path / "flicker" / file.parent.name / file.name, image)
+    with run_for(tmp_path / "run", lambda: open_capture(room / "room"), str(room / "p.toml"), 1) as made:
+        import_renders(made, "flicker", tmp_path / "flicker")
+        import_renders(made, "mine", room / "mine")
+
+    results = score(made)
+    page = write_report([made.root], with_figures=False).read_text(encoding="utf-8")
+
+    assert {fault.label for fault in results.faults} == {"flicker"}
+    assert results.set_aside == {}
+    (line,) = results.fault_lines()
+    assert line.startswith("flicker flickers as a whole (likely; cam00, cam01, cam04: whole frames are brighter or darker by ")
+    assert "flicker flickers as a whole (likely)" in page.split('<p class="headline">')[1].split("</p>")[0]
+    assert line in (made.report / "tables.md").read_text(encoding="utf-8")
+
+
 def test_words_of_a_fault():
     """Every fault is a sentence about the method, with what to do; likely ones are told and spoil nothing."""
     likely = Fault("mine", "room", "cam00", "tone curve", "likely", "a power", "look")

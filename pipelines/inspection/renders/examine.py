@@ -4,7 +4,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn
@@ -14,6 +13,7 @@ from ggvs_eval.files.images import mean_of_channels, resize, round_levels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.inspection.renders.copied import WINDOW, find_copied
+from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import (
     ViewFrames,
     find_identity,
@@ -151,50 +151,6 @@ def _spectrum_peaks(profile: NDArray[np.float32]) -> NDArray[np.float64]:
     usual = float(np.median(np.abs(np.fft.rfft(windowed))[len(fine) // 8 :])) + 1e-9
     waves = np.exp(-2j * np.pi * np.arange(len(fine)) / np.array([*PERIODS_PX])[:, None])
     return np.abs(waves @ windowed) / usual
-
-
-FEWEST_FRAMES = 5
-CELLS = 48
-REGIONS = 4
-# Added to both levels, so that their ratio means something in the dark.
-DARK_255 = 4.0
-# Usual change of the gain from one frame to the next, as the standard deviation of gains that do not depend on each other: honest
-# renders had 0.1 % at most, random gains within 3 % have 1.7 %.
-LEAST_FLICKER = 0.01
-# Part of the change that sixteen regions have alike: 0.3 at most in honest renders, 1 if a frame is multiplied.
-LEAST_COMMON = 0.7
-
-
-def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
-    """Compare the gain of neighbouring frames; a drift, as by the exposure of the true camera, does not count."""
-    if len(view.frames) < FEWEST_FRAMES:
-        return []
-    gains = np.stack([region_gains(*pair) for pair in view.pairs(list(view.frames))])  # (T, regions), logarithms
-    jumps = np.diff(gains, axis=0) / np.sqrt(2)
-    whole = np.diff(np.median(gains, axis=1)) / np.sqrt(2)
-    size = float(np.sqrt(np.square(whole).mean()))
-    common = size / max(float(np.sqrt(np.square(jumps).mean())), 1e-9)
-    if size < LEAST_FLICKER or common < LEAST_COMMON:
-        return []
-    largest = float(np.abs(whole).max() * np.sqrt(2))
-    measured = (
-        f"whole frames are brighter or darker by {100 * size:.1f} % (standard deviation), from one to the next by up to "
-        f"{100 * largest:.1f} %"
-    )
-    values = {"flicker_share": size, "largest_jump_share": largest, "common_share": common}
-    advice = "write all frames with one exposure: is each normalised by its own minimum, maximum or mean?"
-    return [Finding(name, "flicker", "likely", measured, values, advice)]
-
-
-def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
-    """Return the logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
-    ours, theirs = (
-        cv2.resize(mean_of_channels(image), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
-        for image in (rendered, truth)
-    )
-    side = CELLS // REGIONS
-    cells = np.log(ours / theirs).reshape(REGIONS, side, REGIONS, side).swapaxes(1, 2)
-    return np.asarray(np.median(cells.reshape(REGIONS**2, -1), axis=1), dtype=np.float64)
 
 
 def examine(

@@ -17,6 +17,7 @@ from ggvs_eval.coverage import guessed_first
 from ggvs_eval.files.images import mean_of_channels, round_levels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import (
     LARGEST_OFFSET,
     Sample,
@@ -119,7 +120,11 @@ class QuickChecks:
         sampled += [finding for finding in tones if finding.verdict == "certain"]  # likely ones need more views than one
         repeated = find_repeated(self._view, view, scan, sampled)
         middle = ViewFrames(rendered, self._truth, middle_of(usable, COPIED_FRAMES), self._numbers)
-        findings = [*scan.findings, *repeated, *mirrored, *sampled, *find_copied(self._view, middle)]
+        copied = find_copied(self._view, middle)
+        # Copies among renders of another exposure flicker, too.
+        is_copied = any(finding.verdict != "unknown" for finding in copied)
+        flicker = [] if is_copied else find_flicker(self._view, view)
+        findings = [*scan.findings, *repeated, *mirrored, *sampled, *copied, *flicker]
         return [finding for finding in findings if finding.verdict != "unknown"]
 
 
