@@ -22,7 +22,7 @@ from ggvs_eval.files import listing, video
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.capture import check
+from ggvs_eval.pipelines.inspection.capture import check, frames
 from ggvs_eval.pipelines.inspection.capture.frames import TO_SDR
 from ggvs_eval.renders import view_streams
 from ggvs_eval.renders.request import FrameRequest
@@ -50,6 +50,7 @@ from helpers.small_layouts import (
     write_nerfstudio,
     write_storage,
 )
+from helpers.small_rig import film, make_cameras, write_rig
 
 # Commands that refusals and notes of captures print
 
@@ -152,6 +153,26 @@ def follow_steps(folder: Path) -> None:
         ffmpeg(line, folder, IN=f"{name}.mp4", OUT=str(copies / f"{name}.mp4"))
     capture = open_capture(copies)
     assert (capture.n_frames, capture.fps) == (18, 25.0)
+
+
+def follow_repeats(folder: Path) -> None:
+    """A camera that recorded 25 frames per second, stored as 30: its line leaves the repeats out, that of the rates follows."""
+    cameras = make_cameras()
+    footage = {camera.name: film(camera) for camera in cameras}
+    odd = cameras[3].name
+    footage[odd] = [footage[odd][frame * 5 // 6] for frame in range(len(footage[odd]))]
+    write_rig(folder, cameras, footage)
+    found = next(finding for finding in check.check_capture(folder).of("frozen frames") if finding.subject == odd)
+    assert (found.verdict, found.values["recorded_fps"]) == ("bad", 25.0)
+    ffmpeg(found.advice.rpartition(": ")[2], folder, IN=f"{odd}.mp4", OUT="raw.mp4")
+    shutil.move(folder / "raw.mp4", folder / f"{odd}.mp4")
+    line = " ".join(quoted(refusal(folder), "ffmpeg"))
+    for camera in cameras:
+        ffmpeg(line, folder, IN=f"{camera.name}.mp4", OUT="raw.mp4")
+        shutil.move(folder / "raw.mp4", folder / f"{camera.name}.mp4")
+    checked = check.check_capture(folder)
+    assert open_capture(folder).fps == 25.0
+    assert {finding.verdict for finding in checked.of("frozen frames")} == {"ok"}
 
 
 def follow_chapters(folder: Path) -> None:
@@ -285,6 +306,7 @@ COMMANDS: dict[str, Callable[[Path], None]] = {
     "-bsf:v h264_metadata": follow_tags,
     "tonemap=mobius": follow_tone_mapping,
     "ffmpeg -i IN -vf fps=": follow_steps,
+    "-vf decimate": follow_repeats,
     "-f concat": follow_chapters,
     "crop=iw/2": follow_halves,
     "ffmpeg -i {video.path.name}": follow_rate_of_renders,
@@ -329,7 +351,7 @@ def test_every_printed_command_is_followed():
     files = [
         *folder.glob("*.py"),
         *folder.glob("*.toml"),
-        *(Path(str(m.__file__)) for m in (listing, video, view_streams, check)),
+        *(Path(str(m.__file__)) for m in (listing, video, view_streams, check, frames)),
     ]
     printed = [text for file in files for text in texts(file) if PRINTS.search(text)]
     assert len(printed) >= len(COMMANDS) - 1

@@ -239,7 +239,7 @@ def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, o
 # In the order of the table; a check of your own is one line here.
 ANSWERS: Mapping[str, Callable[[ExaminedRig], tuple[Finding, ...]]] = {
     frames.FRAMES: lambda rig: frames.check_frames(rig.capture, rig.records),
-    frames.FROZEN: lambda rig: frames.check_frozen(rig.records),
+    frames.FROZEN: lambda rig: frames.check_frozen(rig.records, rig.capture.fps),
     stillness.QUESTION: lambda rig: stillness.check_stillness(rig.capture.cameras, rig.records, rig.capture.fps),
     poses.POSES_QUESTION: lambda rig: poses.check_poses(rig.capture.cameras, rig.calibration.suspects),
     poses.INTRINSICS_QUESTION: lambda rig: poses.check_intrinsics(rig.capture.cameras),

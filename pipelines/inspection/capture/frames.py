@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,10 @@ LEAST_CHANGE = 1.0
 MOVING_SHARE = 0.3
 BAD_FROZEN = 3
 LISTED = 6
+ENCODED = "-c:v libx264 -crf 12 OUT.mp4"
 TO_SDR = (
     "ffmpeg -i IN -vf zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=mobius,zscale=t=bt709:m=bt709:r=tv,"
-    "format=yuv420p -c:v libx264 -crf 12 OUT.mp4"
+    f"format=yuv420p {ENCODED}"
 )
 
 
@@ -79,15 +81,20 @@ def frames_outside(capture: Capture) -> dict[str, Path]:
     return outside
 
 
-def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
-    """Return the frames that repeat the one before."""
+def check_frozen(records: Sequence[CameraRecord], fps: float) -> tuple[Finding, ...]:
+    """Return the frames that repeat the one before, and the rate of the recording where they do so periodically.
+
+    Args:
+        fps: frames per second of the capture.
+    """
     if all(np.isnan(record.change).all() for record in records):
         reason = "fewer than two frames in a row"
         return tuple(Finding(subject, FROZEN, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
     change = np.stack([record.change for record in records])  # (N, T)
     frozen, common = frozen_frames(change), common_repeats(change)
     evaluated = [
-        _evaluate_frozen(record.name, list(map(int, np.flatnonzero(row)))) for record, row in zip(records, frozen, strict=True)
+        _evaluate_frozen(record.name, list(map(int, np.flatnonzero(row))), len(row), fps)
+        for record, row in zip(records, frozen, strict=True)
     ]
     if common.any():
         measured = f"frames {_listed(list(map(int, np.flatnonzero(common))))} repeat the one before in all cameras"
@@ -145,16 +152,36 @@ def _evaluate_damage(record: CameraRecord, n_frames: int) -> Finding:
     return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or drop this camera")
 
 
-def _evaluate_frozen(name: str, frames: list[int]) -> Finding:
-    values = {"frames": frames}
+def _evaluate_frozen(name: str, frames: list[int], n_frames: int, fps: float) -> Finding:
+    values: dict[str, Any] = {"frames": frames}
     if not frames:
         return Finding(name, FROZEN, "ok", "none", values)
     measured = (
         f"frames {_listed(frames)} repeat the one before" if len(frames) > 1 else f"frame {frames[0]} repeats the one before"
     )
+    if (period := repeat_period(frames, n_frames)) and fps:
+        values["recorded_fps"] = fps * (1 - 1 / period)
+        stored = f"recorded at {values['recorded_fps']:.4g} frames per second, it seems, and stored as {fps:.4g}"
+        advice = f"give the original video, or leave the repeats out: ffmpeg -i IN -vf decimate=cycle={period} {ENCODED}"
+        return Finding(name, FROZEN, "bad", f"{stored}: {measured}", values, advice)
     return Finding(
         name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", measured, values, "copy or convert this video again"
     )
+
+
+def repeat_period(frames: Sequence[int], n_frames: int) -> int | None:
+    """Return every how many frames one repeats the one before, from end to end of a clip; None if they do not so.
+
+    Examples:
+        >>> repeat_period([3, 9, 15], 20), repeat_period([3, 9], 20)
+        (6, None)
+    """
+    steps = np.diff(frames)
+    if not len(steps):
+        return None
+    period = round(float(steps.mean()))
+    is_even = np.ptp(steps) <= 1 and frames[0] <= period and frames[-1] + period >= n_frames
+    return period if is_even and period > 1 else None
 
 
 def _listed(frames: list[int]) -> str:

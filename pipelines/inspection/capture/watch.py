@@ -116,7 +116,7 @@ class Watch:
         capture = Capture(
             self.path.name, LAYOUT, self.path, tuple(cameras), tuple(files.values()), len(records[0].change), fps, 1, LAYOUT
         )
-        found = [*frames.check_frames(capture, records), *frames.check_frozen(records)]
+        found = [*frames.check_frames(capture, records), *frames.check_frozen(records, capture.fps)]
         found += stillness.check_stillness(cameras, records, fps)
         if self._posed and all(record.instants for record in records):
             if self._pairs is None:
