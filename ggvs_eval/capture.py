@@ -107,7 +107,8 @@ class Calibration:
     Attributes:
         choice: ``given``, ``refined`` or ``compare``.
         cameras: those in use, ``given`` or ``refined``.
-        given_px: median epipolar error of near cameras as given, pixels of the pictures that features are found in.
+        given_px: median epipolar error of near cameras as given, pixels of the pictures that features are found in; None if too
+            few match.
         refined_px: the same of refined cameras; None if none were found, as all the below.
         n_points: that they were refined by.
         psnr_db: of source cameras rendered from each other with given and with refined cameras; empty if not compared.
@@ -116,7 +117,7 @@ class Calibration:
 
     choice: str
     cameras: str
-    given_px: float
+    given_px: float | None
     refined_px: float | None = None
     n_points: int | None = None
     psnr_db: Sequence[float] = ()
@@ -125,24 +126,29 @@ class Calibration:
     @property
     def is_precise(self) -> bool:
         """True if the given cameras agree with the pictures."""
-        return self.given_px <= PRECISE_PX
+        return self.given_px is not None and self.given_px <= PRECISE_PX
 
     @property
     def limits_methods(self) -> bool:
-        """True if the cameras in use contradict the pictures; what refined ones leave is mostly noise of features."""
-        return self.cameras == "given" and self.given_px > PRECISE_PX
+        """True if given cameras are in use that contradict the pictures, and none that render better are known."""
+        is_compared = self.cameras == "refined" or len(self.psnr_db) > 0
+        return not is_compared and self.given_px is not None and self.given_px > PRECISE_PX
 
     def describe(self) -> str:
         """Return in words which cameras are used, and why."""
-        words = f"{self.cameras} cameras are used; median epipolar error {self.given_px:.2f} px as given"
-        if self.refined_px is not None:
-            words += f", {self.refined_px:.2f} px refined by {self.n_points} points"
+        words = f"{self.cameras} cameras are used; median epipolar error {_pixels(self.given_px)} as given"
+        if self.n_points:
+            words += f", {_pixels(self.refined_px)} refined by {self.n_points} points"
         if self.psnr_db:
             words += "; PSNR of source cameras {:.2f} dB as given, {:.2f} dB refined".format(*self.psnr_db)
         if self.failure:
-            return f"{words}; not compared: {self.failure}"
-        is_skipped = self.choice == "compare" and not self.psnr_db
+            words += f"; not compared: {self.failure}"
+        is_skipped = self.choice == "compare" and self.is_precise
         return words + (f": at most {PRECISE_PX} px, refined ones are not tried" if is_skipped else "")
+
+
+def _pixels(error_px: float | None) -> str:
+    return "unknown" if error_px is None else f"{error_px:.2f} px"
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,7 @@ def calibrations(
     opened = {each: _open(each, reading) for each in wanted}
     first = opened[wanted[0]]
     terms = load_protocol(protocol) if protocol else suggest_protocol(first)
+    terms = replace(terms, synthesis=replace(terms.synthesis, calibration=None))  # each as it is given
     for each, capture in opened.items():
         require_same_frames(wanted[0], first, each, capture, terms)
     for each, capture in opened.items():

@@ -15,6 +15,7 @@ import pandas as pd
 
 from ggvs_eval.capture import Calibration
 from ggvs_eval.coverage import read_coverage, read_import
+from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
@@ -126,14 +127,13 @@ def reference_remarks(references: Sequence[Reference], group: str, notes: Sequen
 
 
 def limit_by_cameras(runs: Sequence["MeasuredRun"]) -> str:
-    """Return a sentence on given cameras that contradict the pictures more than methods differ; empty if none do."""
-    limited = {run.scene: run.calibration for run in runs if run.calibration and run.calibration.limits_methods}
+    """Return a sentence on given cameras that contradict the pictures; empty if none do."""
+    limited = [run for run in runs if run.calibration and run.calibration.limits_methods]
     if not limited:
         return ""
-    scene, worst = max(limited.items(), key=lambda item: item[1].given_px)
-    advice = "refined ones render worse" if worst.psnr_db else "refine them in a new run: --calibration refined"
+    scenes = listed(f"{run.scene} ({run.calibration.given_px:.1f} px)" for run in limited if run.calibration)
     return (
-        f"Poses limit all methods: their epipolar error in {scene} is {worst.given_px:.1f} px ({advice}); "
+        f"Poses limit all methods by their epipolar error in {scenes}: refine them in a new run (--calibration compare); "
         "the order of methods is decided by poses."
     )
 

@@ -10,6 +10,7 @@ import pytest
 from ggvs_eval.capture import Calibration, Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.run.evaluate import measure, reopen
+from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Measurement, Protocol
@@ -56,6 +57,11 @@ def test_knocked_poses_are_refined_where_sources_render_better(tmp_path):
     assert "PSNR of source cameras" in run.calibration.describe()
     psnr_db = [float(results.summary()["PSNR"].iloc[0]) for results in (given, compared)]
     assert psnr_db[1] > psnr_db[0] + 1
+    import_renders(run.folder, "mine", run.folder.root / "renders" / "ours-geometric")
+    assert [read_scores(run.folder.root).name(label) for label in ("mine", "ours-geometric")] == [
+        "mine (other cameras)",
+        run.names["ours-geometric"],
+    ]
     again = reopen(tmp_path / "run", 1, ("ours-geometric",))
     assert tasks_left(again) == []
     poses = [[camera.world_to_camera for camera in cameras] for cameras in (again.capture.cameras, capture.cameras)]
@@ -71,7 +77,7 @@ def test_given_poses_that_limit_methods_are_named_first(tmp_path):
     runs = [read_scores(tmp_path / "run")]
     tables = main_tables(runs, results)
     sentence = limit_by_cameras(runs)
-    assert "px (refine them in a new run: --calibration refined); the order of methods is decided by poses." in sentence
+    assert "px): refine them in a new run (--calibration compare); the order of methods is decided by poses." in sentence
     assert tables[0].caption.startswith(sentence)
     assert evaluate_verdict(runs, results, tables).headline.startswith(sentence)
 

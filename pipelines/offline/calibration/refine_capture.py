@@ -40,8 +40,8 @@ def match_capture(capture: Capture) -> list[MatchedPair]:
     return [pair for pair in matched if pair]
 
 
-def epipolar_residual(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> float:
-    """Return the median over pairs of their median epipolar errors; NaN without pairs.
+def epipolar_residual(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> float | None:
+    """Return the median over pairs of their median epipolar errors; None without pairs.
 
     Returns:
         Pixels of the pictures that features are found in, which have at most `LONGEST_SIDE_PX`.
@@ -52,7 +52,7 @@ def epipolar_residual(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -
         if not np.allclose(first.centre, second.centre):
             errors = epipolar_errors(first, second, pair.uv_first, pair.uv_second)
             medians.append(np.median(errors) / _pixel([first, second]))
-    return float(np.median(medians)) if medians else float("nan")
+    return float(np.median(medians)) if medians else None
 
 
 def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> tuple[tuple[Camera, ...], int]:
