@@ -101,13 +101,13 @@ class Table:
 
 
 TABLES = (
-    Table(README, "sparse", "sparse", lambda: printed_table("sparse", "scene, sources")),
+    Table(README, "sparse", "sparse", lambda: printed_table("sparse", "scene | cameras | GGVS (online)")),
     Table(README, "real_frame", "real_frame", lambda: fidelity_table(OUT / "real_frame", FRONT_METHODS, usual_view=True)),
     Table(PEERS, "learned", CARDS, learned_sentence),
     Table(PEERS, "learned_table", CARDS, learned_table),
     Table(PEERS, "demo_instant", "demo_instant", lambda: results_table(OUT / "demo_instant")),
     Table(RESULTS, "sparse", "sparse", lambda: printed_table("sparse", "scene | sources | GGVS (online)")),
-    Table(RESULTS, "sparse_measured", "sparse", lambda: printed_table("sparse", "scene | sources | PSNR of GGVS")),
+    Table(BENCH, "sparse_measured", "sparse", lambda: printed_table("sparse", "scene | sources | PSNR of GGVS")),
     Table(RESULTS, "demo", "demo", lambda: results_table(OUT / "demo")),
     Table(RESULTS, "ceilings", "demo", lambda: ceilings_table(OUT / "demo")),
     Table(RESULTS, "depth", "depth", depth_table),
