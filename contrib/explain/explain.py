@@ -224,7 +224,7 @@ def explanation_table(
     rows = []
     for row in (*matching, *nearest):
         sign, whose = "=" if row.matches else "", "this tool" if row.is_ours else ""
-        rows.append((sign, whose, f"{row.value:.6g}", row.views, row.name))
+        rows.append((sign, whose, f"{row.value:.6g}", row.views, _with_users(row)))
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
     left = f"\n\n{len(everywhere)} conventions tried; --all shows them" if len(nearest) < len(others) else ""
     return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}{left}"
@@ -261,8 +261,12 @@ def _share_text(share: float) -> str:
 
 
 def _full_name(convention: Convention) -> str:
-    users = f" ({USERS[convention.name]} measure so)" if convention.name in USERS else ""
-    return convention.name + users + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
+    return _with_users(convention) + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
+
+
+def _with_users(convention: Convention) -> str:
+    users = USERS.get(convention.name)
+    return f"{convention.name} ({users} measure so)" if users else convention.name
 
 
 def read_masks(where: str, views: Views, measurement: Measurement) -> Masks:
