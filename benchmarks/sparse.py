@@ -160,6 +160,9 @@ def measured_table(rows: Sequence[SparseRow]) -> Iterator[str]:
         ours = psnr_of_views(row.run, OURS)
         cells = []
         for label in labels:
+            if label not in row.run.labels:
+                cells.append("not run")
+                continue
             others = psnr_of_views(row.run, label)
             cells.append(f"{others.mean():.2f} ({_lead(ours - others).text})")
         yield f"| {row.place} | {ours.mean():.2f} | {' | '.join(cells)} |"
