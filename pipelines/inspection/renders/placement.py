@@ -16,7 +16,7 @@ from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.common_strength import Strength, find_strengths
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, correlation, shrink, spread
-from ggvs_eval.pipelines.inspection.renders.undo import explained_share
+from ggvs_eval.pipelines.inspection.renders.undo import drop_idle
 from ggvs_eval.transforms import Pair, centring, resampled
 
 ITERATIONS = 12
@@ -173,13 +173,7 @@ def find_placement(views: Mapping[str, ViewFrames]) -> list[Finding]:
     described = [_describe_scale(name, strength) for name, strength in zip(views, scales, strict=True) if strength]
     described += [_describe_shift(name, strength) for name, strength in zip(views, shifts, strict=True) if strength]
     findings = [finding for finding in described if finding]
-    return [
-        finding
-        for name, view in views.items()
-        if (of_view := [finding for finding in findings if finding.subject == name])
-        and explained_share(view, of_view, INSTANTS, lambda image: _outlines(mean_of_channels(image))) >= LEAST_EXPLAINED
-        for finding in of_view
-    ]
+    return drop_idle(views, findings, LEAST_EXPLAINED, lambda image: _outlines(mean_of_channels(image)))
 
 
 def _register(view: ViewFrames) -> Placement:

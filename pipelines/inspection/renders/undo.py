@@ -9,6 +9,8 @@ from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
 from ggvs_eval.transforms import TRANSFORMS, Transform
 
+INSTANTS = 3  # of a view that are compared
+
 
 def change_of(finding: Finding, view: ViewFrames) -> Transform:
     """Return the change that a finding has measured, for pictures of the size of a view."""
@@ -25,18 +27,37 @@ def undo_changes(views: Mapping[str, ViewFrames], findings: Sequence[Finding]) -
     return undone
 
 
-def explained_share(
-    view: ViewFrames,
+def levels_of(image: Image8) -> Array32:
+    """Return a frame's levels as numbers that differences do not wrap."""
+    return image.astype(np.float32)
+
+
+def drop_idle(
+    views: Mapping[str, ViewFrames],
     findings: Sequence[Finding],
-    instants: int,
-    seen: Callable[[Image8], Array32],
-) -> float:
-    """Return how much of the squared error of a view its findings explain, 0 to 1 or a little below.
+    least: float,
+    seen: Callable[[Image8], Array32] = levels_of,
+) -> list[Finding]:
+    """Drop the findings of views in which they explain little of the error: an honest bad rendering has such changes too.
 
     Args:
-        findings: of that view, in the order in which they are undone.
-        instants: number of frames that are looked at.
-        seen: frame -> what is compared of it, (H, W).
+        findings: in the order in which they are undone.
+        least: share of the squared error that the findings of a view explain together, see `explained_share`.
+        seen: frame -> what is compared of it.
+
+    Returns:
+        The others, by view.
+    """
+    kept: list[Finding] = []
+    for name, view in views.items():
+        of_view = [finding for finding in findings if finding.subject == name]
+        if of_view and explained_share(view, of_view, seen) >= least:
+            kept += of_view
+    return kept
+
+
+def explained_share(view: ViewFrames, findings: Sequence[Finding], seen: Callable[[Image8], Array32]) -> float:
+    """Return how much of the squared error of a view its findings explain, 0 to 1 or a little below.
 
     Reading:
         Interpolation blurs, and blur alone lowers the error of a bad rendering. So the pictures without the change are compared
@@ -49,7 +70,7 @@ def explained_share(
         without = without.with_rendered(change.inverse)
     for change in reversed(changes):
         twice = twice.with_rendered(change.apply)
-    frames = spread(view.frames, instants)
+    frames = spread(view.frames, INSTANTS)
     errors = []
     for version in (view, without, twice):
         pairs = version.pairs(frames)
