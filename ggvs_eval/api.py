@@ -91,8 +91,8 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_
 from ggvs_eval.pipelines.methods.stage_costs import depth_cost
 from ggvs_eval.pipelines.run import run_plan
 from ggvs_eval.pipelines.run.depth_of_run import DepthProvider
-from ggvs_eval.pipelines.run.derived_files import cache_frames, frame_tasks, path_task, seen_from
-from ggvs_eval.pipelines.run.evaluate import measure, reopen
+from ggvs_eval.pipelines.run.derived_files import cache_frames, path_task, seen_from
+from ggvs_eval.pipelines.run.evaluate import measure, recorded_capture, reopen
 from ggvs_eval.pipelines.run.import_renders import named_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import FITS, UnitTask, diagnostics_picture

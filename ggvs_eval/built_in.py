@@ -412,6 +412,7 @@ NETWORK_MATCHERS = ("raft", "itermvs")
 
 # Engines besides processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
+SWEEP_LINES = {"published": "ggvs_eval.reports.tables.published:published_lines"}  # below the table of a sweep
 SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 
 # Files of Gaussians by suffix, besides .ply; and experiment trackers that results are written for.

@@ -108,6 +108,7 @@ def test_leaves_use_the_api_alone():
     assert sorted(wrong) == []
 
 
+@pytest.mark.slow
 def test_every_leaf_is_there():
     """A leaf's modules have not moved away under its list."""
     wrong = {

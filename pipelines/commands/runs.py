@@ -41,6 +41,7 @@ from ggvs_eval.run_folder import RunFolder
 NO_SPLATS: Mapping[str, Path] = {}
 DEPTH_OUTPUTS: Registry[Any] = Registry("outputs of depth", built_in.DEPTH_OUTPUTS)
 PLANS: Registry[Any] = Registry("plans of sweeps", built_in.SWEEP_PLANS)
+LINES: Registry[Any] = Registry("lines below the table of a sweep", built_in.SWEEP_LINES)
 
 
 def prepare(
@@ -308,7 +309,6 @@ def sweep(
     from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.sweep.demo_runs import unpack_rooms
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
-    from ggvs_eval.reports.tables.published import published_lines
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
@@ -335,8 +335,11 @@ def sweep(
     result = run_sweep(planned, engine)
     if not result.table.empty:
         scenes = {folder: (start.scene, base) for folder, (start, base) in starts.items()}
-        lines, sources = published_lines(scenes, list(result.table.columns))
-        print(result.with_lines(lines).round(4).to_string())
+        table, sources = result.table, ()
+        if "published" in LINES.present():
+            lines, sources = LINES["published"](scenes, list(result.table.columns))
+            table = result.with_lines(lines)
+        print(table.round(4).to_string())
         print(*sources, sep="\n", end="\n" if sources else "")
     for title, reason in result.not_computed.items():
         print(f"{title} not computed: {reason}")

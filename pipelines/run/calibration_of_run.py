@@ -18,6 +18,7 @@ from ggvs_eval.depth_options import FREE_MATCHER, DepthRunOptions
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.files.atomic import scratch_folder
 from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.metrics.image.psnr import PSNR
 from ggvs_eval.pipelines.offline.calibration import refine_capture
 from ggvs_eval.pipelines.offline.calibration.refine_capture import epipolar_residual, match_capture, refine_cameras
 from ggvs_eval.pipelines.run.evaluate import measure
@@ -27,7 +28,7 @@ from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol
 from ggvs_eval.tasks.identity import code_of
 from ggvs_eval.tasks.task import Task, digest_inputs, read_record
 
-METHOD, METRIC = "ours-geometric", "PSNR"  # by which calibrations are compared: weights without a network
+METHOD = "ours-geometric"  # by which calibrations are compared: weights without a network
 LONGEST_SIDE_PX = 640  # of the pictures compared
 
 
@@ -116,7 +117,7 @@ def _compare(
         views=replace(rule.views, test=rule.views.test[::2]),  # at most five
         frames=Frames(protocol.frames.start, 1),
         synthesis=replace(rule.synthesis, width=width, height=height, resize_filter="area", calibration=None),
-        measurement=Measurement((METRIC,), ceilings=False),
+        measurement=Measurement((PSNR.name,), ceilings=False),
         path=CameraPath(0),
     )
     psnr_db = []
@@ -124,5 +125,5 @@ def _compare(
     for cameras in (sources.cameras, tuple(by_name[name] for name in sources.camera_names)):
         with scratch_folder(folder / "compared") as root:
             request = RunRequest(root, replace(sources, cameras=cameras), small, (METHOD,), DepthRunOptions(FREE_MATCHER))
-            psnr_db.append(float(measure(plan_run(request), workers).summary()[METRIC].iloc[0]))
+            psnr_db.append(float(measure(plan_run(request), workers).summary()[PSNR.name].iloc[0]))
     return tuple(psnr_db)
