@@ -288,6 +288,16 @@ def split_label(label: str) -> tuple[str, str]:
     return method, variant
 
 
+def without_option(label: str, option: str) -> str:
+    """Return the label of a method that is the same but for an option.
+
+    Examples:
+        >>> without_option("4dgs+motion=linear+seed=1", "seed")
+        '4dgs+motion=linear'
+    """
+    return "+".join(part for part in label.split("+") if not part.startswith(f"{option}="))
+
+
 def without_labels(results: Results, labels: Collection[str]) -> Results:
     """Return the results without some methods."""
     return replace(results, table=results.table[[label not in labels for label in results.row_labels]]) if labels else results

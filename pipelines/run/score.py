@@ -22,7 +22,16 @@ from ggvs_eval.pipelines.methods.stage_costs import STAGES
 from ggvs_eval.pipelines.run.score_view import CHECKS, ScoreTask, metric_options, score_tasks
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST, Protocol
-from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
+from ggvs_eval.results import (
+    Absence,
+    Fault,
+    Results,
+    describe_machine,
+    installed_versions,
+    make_table,
+    split_label,
+    without_option,
+)
 from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, read_json, write_json
 from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, MetricScores, ScoredMethod, ScorePart, ScoreRequest, Value
 from ggvs_eval.tasks.run_tasks import run_tasks
@@ -30,6 +39,7 @@ from ggvs_eval.tasks.task import Task
 from ggvs_eval.tasks.task_list import TaskList
 
 GIVEN = "weights that were given"
+FAMILY_OPTIONS = ("scale", "steps")  # labels that differ in one of these alone are a line of a figure or table
 
 
 def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
@@ -41,7 +51,9 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
         for label, spec in specs.items()
         if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, rendered[label], spec)
     ]
-    titles = {label: specs[label].title if label in specs else method for label, method in rendered.items()}
+    families = {without_option(method, option) for method in rendered.values() for option in FAMILY_OPTIONS}
+    titles = {family: spec.title for family in families if (spec := known_method(family))}
+    titles |= {label: specs[label].title if label in specs else method for label, method in rendered.items()}
     titles |= {label: spec.title_from for label in given if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
     titles |= {label: f"{titles[label]}{SCREEN_TITLE}" for label in labels if label.endswith(ON_SCREEN)}
     looks = [label for label in specs if not specs[label].online]

@@ -4,7 +4,6 @@ The drawing has the score of the displayed frames over pictures per second, and 
 """
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from ggvs_eval.protocol import Stream
 from ggvs_eval.reports.figures.axes import COLOURS, Panel, method_numbers, save_figure, with_margin
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, rank
-from ggvs_eval.results import label_of
+from ggvs_eval.results import label_of, without_option
 from ggvs_eval.run_folder import ON_SCREEN, read_json
 
 DRAWN = ("PSNR", "LPIPS", "TCC")
@@ -92,9 +91,9 @@ def _panel(runs: Sequence[MeasuredRun], metric: str, fps: float) -> RatePanel | 
     names: dict[str, str] = {}
     for run in runs:
         for label, mark in _marks(run, metric, several=len(runs) > 1):
-            family = re.sub(r"\+scale=[^+]*", "", label)
+            family = without_option(label, "scale")
             marks.setdefault(family, []).append(mark)
-            names.setdefault(family, re.sub(r", scale=[^,]*", "", run.name(label)))
+            names.setdefault(family, run.name(family))
     every = [mark for of_family in marks.values() for mark in of_family]
     if not every:
         return None

@@ -4,7 +4,6 @@ The score step writes the description of each metric into the run folder, so tha
 """
 
 import dataclasses
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,7 +20,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
-from ggvs_eval.results import Results, label_of, without_labels
+from ggvs_eval.results import Results, label_of, without_labels, without_option
 from ggvs_eval.run_folder import ON_SCREEN, RunFolder, read_json, require_frames
 
 METRICS_FILE = "metrics.json"
@@ -416,7 +415,7 @@ def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """
     replicas: dict[str, tuple[str, ...]] = {}
     for label in labels:
-        first = re.sub(r"\+seed=\d+(?=\+|$)", "", label)
+        first = without_option(label, "seed")
         if first != label and first in labels:
             replicas[first] = (*replicas.get(first, ()), label)
     return replicas

@@ -5,7 +5,6 @@ design is next to what the protocol makes the same for all of them.
 """
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -26,7 +25,7 @@ from ggvs_eval.reports.model.table import (
 from ggvs_eval.reports.section import Report, SectionContent, tables_of_runs
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
 from ggvs_eval.reports.tables.verdict import judge_runs
-from ggvs_eval.results import Results, label_of
+from ggvs_eval.results import Results, label_of, without_option
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, Pair
@@ -266,16 +265,16 @@ def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], p
         return None
     families: dict[str, list[str]] = {}
     for label in fits:
-        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append(label)
+        families.setdefault(without_option(label, "steps"), []).append(label)
     targets = {f"{STATED_DB:g} dB": {label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits}}
     for rival in reversed(rivals):
         found = {label: _reached(one.outcome, one.difference) for label, one in _against(run, rival, fits).items()}
         targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": found} | targets
     columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
     rows = []
-    for labels in families.values():
+    for family, labels in families.items():
         points = [sorted((fit_seconds(fits[each]), psnr_db[each], found[each]) for each in labels) for found in targets.values()]
-        rows.append(Row(re.sub(r", [\d,]+ steps|\+steps=\d+", "", run.name(labels[0])), tuple(map(_crossing, points))))
+        rows.append(Row(run.name(family), tuple(map(_crossing, points))))
     caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"
     return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
 

@@ -96,7 +96,8 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
 def test_families_stand_in_the_order_of_the_run(tmp_path):
     """Equal inputs give equal tables; a family of one fit is called by the shown name without its steps, never by the label."""
     labels = ("ours", "3dgs-per-instant+steps=300", "3dgstream", "4dgs", "fwd", "ibrnet", "mvsplat")
-    names = tuple(zip(labels, ("GGVS (online)", "3DGS per Instant, 300 steps", *labels[2:]), strict=True))
+    titles = ("GGVS (online)", "3DGS per Instant, 300 steps", *labels[2:])
+    names = (("3dgs-per-instant", "3DGS per Instant"), *zip(labels, titles, strict=True))
     root = write_run(tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0))
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
     measured = read_run(make_fitted(root, labels[1:]))

@@ -81,7 +81,7 @@ def test_a_method_at_a_fraction_of_its_size_alone_has_its_name(run):
     read = read_run(run)
     record = {"methods": {"ours+scale=0.5": RECORD["methods"]["no-blending"]}}
     write_json(RunFolder(run).stream_record, record)
-    named = replace(read, names={**read.names, "ours+scale=0.5": "OURS, scale=0.5"})
+    named = replace(read, names={"ours": "OURS", "ours+scale=0.5": "OURS, scale=0.5"})
     try:
         panels = rate_panels([named])
     finally:

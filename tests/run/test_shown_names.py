@@ -44,6 +44,17 @@ def test_each_kind_of_method_declares_what_no_protocol_removes(run):
     assert record["names"]["enerf"] == "ENeRF (retrained, compact)"
 
 
+def test_a_family_has_a_title_without_the_option_that_its_members_differ_in(run):
+    """A figure over sizes and a table over steps name their lines by it, whether or not the method itself is there."""
+    folder, protocol = run
+    write_shown_names(folder, protocol, ("ours+scale=0.5", "4dgs+motion=linear+steps=300"))
+    names = read_json(folder.root / "methods.json")["names"]
+
+    assert names["ours"] == "GGVS (online)"
+    assert names["4dgs+motion=linear"] == find_method("4dgs+motion=linear").title
+    assert "steps" not in names["4dgs+motion=linear"]
+
+
 def test_weights_that_were_given_are_not_called_retrained(run):
     """The renders say which file made them: with another than the one that ships, title and origin are another."""
     folder, protocol = run
