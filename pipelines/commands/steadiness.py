@@ -35,7 +35,7 @@ def steadiness(
         raise MetricError("wanted --depth or --colmap, got both; COLMAP needs pictures, omit one")
     if out is not None and out.suffix not in FORMATS:
         raise RenderError(f"{out}: wanted a file name with {', '.join(FORMATS)}, got {out.suffix or 'none'}; change it")
-    paths = named_renders(videos)
+    paths = named_renders(videos, in_run=False)
     if not paths:
         raise RenderError(
             "wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`"

@@ -271,17 +271,17 @@ def run_for(
         yield run
 
 
-def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
+def named_renders(items: tuple[str, ...], in_run: bool = True) -> dict[str, Path]:
     """Return name -> path of ``NAME=PATH`` or of a bare path, named after its last component if unused and valid.
 
-    Renders that are called as a built-in method is, as many call their own "ours", get another name, and a line says so.
+    In a run, renders that are called as a built-in method, as many call their own "ours", get another name, which a line says.
     """
     named: dict[str, Path] = {}
     for item in items:
         name, separator, path = item.partition("=")
         if not separator or "/" in name:  # a path may hold = too
             name, path = plain_label(Path(os.path.abspath(item)).name.split(".")[0]), item
-        elif _is_taken(name) and name != "truth":
+        elif in_run and _is_taken(name) and name != "truth":
             taken, name = name, plain_label(name)
             print(f"{path}: called {name} here, since {taken} is a built-in method", file=sys.stderr)
         if name in named:

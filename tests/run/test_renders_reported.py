@@ -38,7 +38,7 @@ def test_a_partial_row_is_marked_and_not_ranked(partial_run):
     assert all(line.startswith("| c (partial) |") and "**" not in line for line in rows)
     assert any("c is partial in room: 0 of 2 views complete, 2 of 6 frames (cam00); it is not ranked." in line for line in lines)
     assert any(line.startswith("| a | ") for line in lines)
-    assert any("Nothing is bold in " in line for line in lines)  # a and b are the same frames
+    assert any("b (faulty) shows the same frames as a, so it is not ranked" in line for line in lines)
 
 
 @pytest.mark.slow
