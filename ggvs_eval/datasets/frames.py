@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.capture import FrameSource
+from ggvs_eval.capture import FrameSource, source_chain
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.digest import digest_files, digest_values
@@ -220,15 +220,19 @@ def _read_header(file: Path) -> PictureHeader:
         raise CaptureError(f"{file}: wanted an image, got {content}; restore this frame") from error
 
 
+def video_of(source: FrameSource) -> VideoFrames | None:
+    """Return the video that a source takes its frames from, directly or through others; None if it is no video."""
+    *_, stored = source_chain(source)
+    return stored if isinstance(stored, VideoFrames) else None
+
+
 def coding_of(source: FrameSource, frames: range) -> Coding | None:
     """State how frames were coded.
 
     Returns:
         None if every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
     """
-    stored = source
-    while hasattr(stored, "source"):  # undistorted, held still, or with noise added
-        stored = stored.source
+    *_, stored = source_chain(source)  # it may be undistorted, held still, or with noise added
     if isinstance(stored, VideoFrames):
         changed = Coding(unknown="frames were changed after they were coded")
         return read_coding(stored.path, frames) if stored is source else changed

@@ -10,7 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Extras, FrameSource, source_chain
 from ggvs_eval.capture_edit import picked, picked_extras
-from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.frames import ImageFrames, video_of
 from ggvs_eval.datasets.media import match_cameras
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_files_below
@@ -203,8 +203,7 @@ def _gaps(times_s: Mapping[str, Array]) -> list[str]:
 
 def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
     """Return the video of each camera, also behind an undistortion; None if its frames are images."""
-    files = {name: list(source_chain(source))[-1] for name, source in sources.items()}
-    return {name: file if isinstance(file, VideoFrames) else None for name, file in files.items()}
+    return {name: video_of(source) for name, source in sources.items()}
 
 
 class FrameTimes(NamedTuple):
@@ -253,8 +252,9 @@ def _rows(file: Path) -> Rows:
         lines = read_plain_text(file).splitlines()
     except (OSError, ValueError):
         return []
-    parting = r"[,;\t]" if re.search(r"[,;\t]", lines[0]) else r"\s+"
-    rows = [[cell.strip(' "#') for cell in re.split(parting, line.strip())] for line in lines if line.strip()]
+    lines = [line.strip() for line in lines if line.strip()]
+    parting = r"[,;\t]" if lines and re.search(r"[,;\t]", lines[0]) else r"\s+"
+    rows = [[cell.strip(' "#') for cell in re.split(parting, line)] for line in lines]
     return [row for row in rows if len(row) == len(rows[0])]
 
 
@@ -276,9 +276,10 @@ def _of_all(rows: Rows, cameras: Collection[str]) -> dict[str, Array]:
 
 def _times(rows: Rows) -> Array:
     """Return the column of times in the rows of a camera, (T,); empty if there is none."""
-    body = rows if all(_value(cell) is not None for cell in rows[0]) else rows[1:]
+    head, *body = rows or [[]]
+    body = rows if all(_value(cell) is not None for cell in head) else body
     ascending: list[tuple[bool, int, Array]] = []
-    for title, cells in zip(rows[0], zip(*body, strict=True), strict=False):
+    for title, cells in zip(head, zip(*body, strict=True), strict=False):
         values = np.array([np.nan if (value := _value(cell)) is None else value for cell in cells])
         if len(values) > 1 and (np.diff(values) > 0).all():
             ascending.append((bool(TIME.search(title)), len(ascending), values))
@@ -286,9 +287,10 @@ def _times(rows: Rows) -> Array:
 
 
 def _value(cell: str) -> float | None:
-    """Return a number, or a time of day in seconds."""
+    """Return a finite number, or a time of day in seconds."""
     try:
-        return float(cell)
+        number = float(cell)
     except ValueError:
         time_s = clock_s(cell)
         return None if time_s is None else float(time_s)
+    return number if np.isfinite(number) else None

@@ -38,7 +38,7 @@ def calibrate(request: RunRequest, protocol: Protocol) -> tuple[Capture, Callabl
     inputs = {
         "calibration": choice,
         "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
-        "views": [protocol.views.test, protocol.views.sources],
+        "views": [protocol.views.test, protocol.views.sources, protocol.frames.start],
         "frames": {name: capture.digest(name) for name in capture.camera_names},
         "code": code_of(refine_capture.__name__),
     }

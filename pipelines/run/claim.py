@@ -5,11 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.capture import Capture, source_chain
-from ggvs_eval.datasets.frames import coding_of
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frames import coding_of, video_of
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.files.video import EXACT_DECODING, VideoFrames
+from ggvs_eval.files.video import EXACT_DECODING
 from ggvs_eval.protocol import Protocol, name_differences
 from ggvs_eval.run_folder import RunFolder, write_json
 
@@ -45,8 +45,8 @@ def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     run.root.mkdir(parents=True, exist_ok=True)
     codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
     coding = {view: each and asdict(each) for view, each in codings.items()}
-    sources = [source for view in protocol.views.test for source in source_chain(capture.source(view))]
-    decoding = {"truth_decoding": EXACT_DECODING} if any(isinstance(source, VideoFrames) for source in sources) else {}
+    are_videos = any(video_of(capture.source(view)) for view in protocol.views.test)
+    decoding = {"truth_decoding": EXACT_DECODING} if are_videos else {}
     write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": coding, **decoding})
     write_text(run.protocol_file, protocol.to_toml())
 

@@ -15,7 +15,8 @@ from dataclasses import replace
 from typing import Any
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.capture import Capture, FrameSource, source_chain
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frames import video_of
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.measured_frames import resized_frame
@@ -56,16 +57,10 @@ def fast_truth(run: RunFolder) -> dict[str, FrameReader]:
         capture = fit_capture(recorded_capture(run), protocol)
     except GgvsError:
         return {}
-    sources = {name: capture.source(name) for name in protocol.views.test}
-    videos = [name for name, source in sources.items() if _video_of(source)]
+    videos = [name for name in protocol.views.test if video_of(capture.source(name))]
     fast = [_decoded_fast(source) for source in capture.sources]
     capture = replace(capture, sources=tuple(fast))
     return {name: _Sequence(capture, name, protocol.measurement) for name in videos}
-
-
-def _video_of(source: FrameSource) -> VideoFrames | None:
-    *_, innermost = source_chain(source)
-    return innermost if isinstance(innermost, VideoFrames) else None
 
 
 def _decoded_fast(source: Any) -> Any:

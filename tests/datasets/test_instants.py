@@ -117,6 +117,23 @@ def test_tables_of_times_align_cameras(tmp_path, tables):
     assert note.endswith("are not used: cam00 6 of 5 frames, cam01 4 of 5 frames, cam03 6 of 5 frames")
 
 
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"timestamps.txt": ""},
+        {"sync.csv": "cam00,cam01,cam02,cam03\n"},
+        {"times.csv": "cam00,cam01,cam02,cam03\n1,inf,nan,1\n2,inf,nan,2\n"},
+        {f"{name}_timestamps.txt": "" for name in NAMES},
+    ],
+)
+def test_tables_without_times_say_nothing(tmp_path, tables):
+    """Empty files, heads alone, and numbers that are none."""
+    for name, text in tables.items():
+        (tmp_path / name).write_text(text)
+
+    assert read_times(tmp_path, dict.fromkeys(NAMES, 2)).times == {}
+
+
 def test_masks_and_depth_stay_with_their_frames(tmp_path):
     """What belongs to a frame that is left out is left out."""
     folder = instants(tmp_path / "room", FREE, clock)

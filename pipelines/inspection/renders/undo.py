@@ -64,12 +64,10 @@ def explained_share(view: ViewFrames, findings: Sequence[Finding], seen: Callabl
         with pictures that have it twice, which are blurred alike: where the error is quadratic in the change, a quarter of the
         difference is what the change costs.
     """
-    changes = [change_of(finding, view) for finding in findings]
-    without, twice = view, view
-    for change in changes:
-        without = without.with_rendered(change.inverse)
-    for change in reversed(changes):
-        twice = twice.with_rendered(change.apply)
+    (without,) = undo_changes({findings[0].subject: view}, findings).values()
+    twice = view
+    for finding in reversed(findings):
+        twice = twice.with_rendered(change_of(finding, view).apply)
     frames = spread(view.frames, INSTANTS)
     errors = []
     for version in (view, without, twice):
