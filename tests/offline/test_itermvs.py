@@ -75,11 +75,11 @@ def assert_same_bits(maps, others):
 
 
 def assert_alike(maps, others):
-    """Within rounding: libraries may cut convolutions of several images otherwise than those of one."""
+    """Within 1e-4, as the authors' own values: libraries cut convolutions of several images otherwise on each processor."""
     for there, here in zip(maps, others, strict=True):
         for one, other in zip(there, here, strict=True):
             assert one.shape == other.shape
-            assert np.mean(np.abs(one - other) <= 1e-5 * np.maximum(other, 0.1)) > 0.999
+            assert np.mean(np.abs(one - other) <= 1e-4 * np.maximum(other, 0.1)) > 0.999
 
 
 def estimate(weights, cameras, images):
