@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks.calibration_errors import measure_against
 from benchmarks.depth_validation.evaluate_matcher import validate_depth
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.kernels import usable_cpus
@@ -57,7 +58,7 @@ def main() -> None:
 
 def validate_calibration(capture: Path, out: Path) -> Figures:
     """Return the cameras found from the images alone, against those that come with the capture."""
-    from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate, measure_against
+    from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 
     shutil.rmtree(out, ignore_errors=True)
     given = open_capture(capture)

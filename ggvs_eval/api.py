@@ -75,7 +75,7 @@ from ggvs_eval.files import (
 from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.templates import open_templates
-from ggvs_eval.geometry import alignment, epipolar, pinhole, rectification, reproject_depth, sight, source_views
+from ggvs_eval.geometry import epipolar, pinhole, rectification, registration, reproject_depth, sight, source_views
 from ggvs_eval.jobs import engine, processes
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import portable

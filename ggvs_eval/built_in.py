@@ -259,6 +259,7 @@ _OF_IMAGES = {
     "LPIPS_cc": f"{_IMAGE}.corrected:LPIPS_CC",
     "IV_PSNR": f"{_MORE}.iv_psnr:IV_PSNR",
     "PSNR_YCbCr": f"{_MORE}.iv_psnr:PSNR_YCBCR",
+    "PSNR_registered": f"{_MORE}.registered:PSNR_REGISTERED",
     "MS_SSIM": f"{_IMAGE}.ms_ssim:MS_SSIM",
     "DSSIM1": f"{_IMAGE}.dssim:DSSIM1",
     "DSSIM2": f"{_IMAGE}.dssim:DSSIM2",

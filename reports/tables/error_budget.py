@@ -1,4 +1,4 @@
-"""Error of each method alone: over views or over time; unseen, in colour, misplaced, blur, of wrong surfaces, or noise.
+"""Error of each method alone: over views or over time; unseen, by cameras, colour, misplacement, blur, wrong surfaces, or noise.
 
 A method's number alone has a ceiling, published values of the same data, its training data, and the sources of its error.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import mean_of_channels, read_image, round_levels
+from ggvs_eval.geometry.registration import register
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.model.measured import MeasuredRun, limit_by_cameras
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
@@ -55,17 +56,19 @@ BUDGET_KEY = "error_budget"  # of the table
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
 CAPTION = (
     "Mean squared error of single frames, decomposed by what undoes it. Unseen: pixels that no source view covers, which methods "
-    "must invent. Colour: a tone curve per channel and a falloff to the corners, due to camera differences. Misplaced: windows "
-    "whose error smooth motion halves, of all or half of the content (double images). Blur: windows whose error a blur of the "
+    "must invent. Camera: what one homography per picture removes, as wrong poses move the pictures of all methods. Colour: "
+    "a tone curve per channel and a falloff to the corners, due to camera differences. Misplaced: windows whose "
+    "error smooth motion halves, of all or half of the content (double images). Blur: windows whose error a blur of the "
     "reference halves. Wrong surface: other or missing content. Noise: white, even grain of both pictures. Unexplained: the rest."
 )
 COLUMNS = (
     Column("squared error", "grey levels² of 255", higher_is_better=False),
-    *(Column(part, "%") for part in ("unseen", "colour", "misplaced", "blur", "wrong surface", "noise", "unexplained")),
+    *(Column(part, "%") for part in ("unseen", "camera", "colour", "misplaced", "blur", "wrong surface", "noise", "unexplained")),
 )
 NOT_TOLD = Cell("not measured", note="add PSNR_disoccluded to the protocol's metrics")
 CAUSES = {
     "unseen": "areas that no source camera sees",
+    "camera": "a motion of whole pictures, by poses or lenses if all methods have it",
     "colour": "colour and exposure, which a tone curve would remove",
     "misplaced": "misplaced content, by wrong depth, poses or motion",
     "blur": "blur",
@@ -98,7 +101,9 @@ class ErrorBudget:
 
     Attributes:
         unseen: of pixels that no source view covers; None where these are not known, and counted with the others.
-        colour: error of the other pixels that a colour map of the image removes.
+        camera: error of the other pixels that one homography removes: at least what wrong poses cost, unless the method
+            itself moves whole pictures.
+        colour: further error, that a colour map of the image removes.
         misplaced: further error, of windows that motion explains best.
         blur: further error, of windows that a blur of the truth explains best.
         surface: further error, of windows with other content than the truth.
@@ -107,6 +112,7 @@ class ErrorBudget:
     """
 
     unseen: float | None
+    camera: float
     colour: float
     misplaced: float
     blur: float
@@ -137,28 +143,42 @@ def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudg
     """
     coverage = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
     squared = _squared(image.astype(np.float32), truth)
-    hidden = None if unseen is None else float((squared * unseen).mean(dtype=np.float64))
+    hidden = None if unseen is None else _mean(squared * unseen)
+    placed = image.astype(np.float32)
     before = squared * coverage
-    mapped = colour_map(image, truth, coverage)
-    after = _squared(mapped, truth) * coverage
-    if after.mean() >= before.mean():
-        mapped, after = image.astype(np.float32), before
+    visible_error = _mean(before)
+    if registered := register(image, truth, coverage > 0):
+        moved, is_covered = registered
+        placed, before = _better(placed, before, np.where(is_covered[..., None], moved, placed), truth, coverage)
+    placed_error = _mean(before)
+    mapped, after = _better(placed, before, colour_map(placed, truth, coverage), truth, coverage)
     shares = explained_shares(mapped, truth, coverage)
-    misplaced, blur, surface = (float((after * share).mean(dtype=np.float64)) for share in shares)
+    misplaced, blur, surface = (_mean(after * share) for share in shares)
     left = after * (1 - sum(shares))
     grain = cv2.filter2D(mapped - truth, -1, GRAIN)[coverage > 0]
     noise_variance = float(np.square(1.4826 * np.median(np.abs(grain)))) if len(grain) else 0.0
-    shown, recoloured, rest = (float(error.mean(dtype=np.float64)) for error in (before, after, left))
-    noise = min(float(np.minimum(_windows(left), noise_variance).mean(dtype=np.float64)), rest)
+    recoloured_error = _mean(after)
+    noise = min(_mean(np.minimum(_windows(left), noise_variance)), _mean(left))
     return ErrorBudget(
         unseen=hidden,
-        colour=shown - recoloured,
+        camera=visible_error - placed_error,
+        colour=placed_error - recoloured_error,
         misplaced=misplaced,
         blur=blur,
         surface=surface,
         noise=noise,
-        unexplained=recoloured - misplaced - blur - surface - noise,
+        unexplained=recoloured_error - misplaced - blur - surface - noise,
     )
+
+
+def _better(image: Array32, error: Map, changed: Array32, truth: Image8, coverage: Map) -> tuple[Array32, Map]:
+    """Return a changed image and its squared error where the change lowers it, else the image and its own."""
+    changed_error = _squared(changed, truth) * coverage
+    return (changed, changed_error) if changed_error.mean() < error.mean() else (image, error)
+
+
+def _mean(error: Map) -> float:
+    return float(error.mean(dtype=np.float64))
 
 
 def _squared(image: Array32, truth: Image8 | Array32) -> Map:
@@ -169,7 +189,7 @@ def _windows(values: Map, size_px: int = WINDOW) -> Map:
     return np.asarray(cv2.boxFilter(values, -1, (size_px, size_px), borderType=cv2.BORDER_REFLECT), np.float32)
 
 
-def colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
+def colour_map(image: Image8 | Array32, truth: Image8, coverage: Map) -> Array32:
     """Map an image to the colours of another by a quadratic tone curve and a falloff to the corners in each channel.
 
     Args:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.calibration_errors import measure_against
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
@@ -22,7 +23,7 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration import calibrate as calibration_job
-from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
+from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos

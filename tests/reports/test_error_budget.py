@@ -42,8 +42,6 @@ def planted_errors(truth: np.ndarray, other: np.ndarray) -> dict[str, tuple[str,
     moves = {f"{px} px right": shifted(truth, px) for px in (1, 2, 4, 8, 16)}
     moves |= {"8 px down": shifted(truth, 0, 8), "1.5, -2.5 px": shifted(truth, 1.5, -2.5)}
     moves |= {f"enlarged by {scale}": shifted(truth, 0, 0, scale) for scale in (1.01, 1.03)}
-    moves |= {f"a body moved by {px}": inside(truth, shifted(truth, px), body) for px in (2, 8)}
-    moves |= {f"double, {px} px apart": (levels + shifted(truth, px)) / 2 for px in (3, 8)}
     colours = {"gain 1.06": 1.06 * levels, "gain 0.7": 0.7 * levels, "offset": levels + 10, "cast": levels * (1.08, 1, 0.9)}
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     colours["falloff"] = levels * (1 - 0.1 * (x * x + y * y))[..., None]
@@ -58,7 +56,9 @@ def planted_errors(truth: np.ndarray, other: np.ndarray) -> dict[str, tuple[str,
         "upside down": truth[::-1],
     }
     noises = {f"noise {sigma}": levels + rng.normal(0, sigma, truth.shape) for sigma in (3, 10)}
-    causes = {"misplaced": moves, "colour": colours, "blur": blurs, "surface": surfaces, "noise": noises}
+    parts = {f"a body moved by {px}": inside(truth, shifted(truth, px), body) for px in (2, 8)}
+    parts |= {f"double, {px} px apart": (levels + shifted(truth, px)) / 2 for px in (3, 8)}
+    causes = {"camera": moves, "misplaced": parts, "colour": colours, "blur": blurs, "surface": surfaces, "noise": noises}
     return {name: (cause, round_levels(image)) for cause, images in causes.items() for name, image in images.items()}
 
 
