@@ -52,7 +52,7 @@ def evaluate(
     """Calibrate, check and evaluate the videos of a rig in one command.
 
     Each step is printed as a command: calibrate, check, protocol, run. A bad verdict of `check` stops the evaluation with exit
-    code 1. A second call resumes.
+    code 1, unless it is on poses alone and these are to be refined. A second call resumes.
 
     Args:
         videos: one video or image folder per camera; or a capture with poses.
@@ -70,6 +70,7 @@ def evaluate(
     if not videos.exists():
         raise CaptureError(no_such_path(videos, "videos, or folders of images, of several cameras"))
     from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
+    from ggvs_eval.pipelines.inspection.capture.epipolar_findings import QUESTION as POSES_QUESTION
 
     shown = _Steps()
     uncalibrated = open_uncalibrated(videos) if reading.layout is None else None
@@ -89,11 +90,15 @@ def evaluate(
     try:
         check.check(capture, reading.layout, reading.units, verdicts, repair, jobs=engine.jobs)
     except SystemExit:
-        raise CommandError(
-            f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
-            "(--repair corrects delays and brightness; cameras of different lenses: another OUT with --no-shared-intrinsics), "
-            f"or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
-        ) from None
+        faults = {finding["question"] for finding in read_json(verdicts)["findings"] if finding["verdict"] == "bad"}
+        if poses not in ("refined", "compare") or faults != {POSES_QUESTION}:
+            raise CommandError(
+                f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
+                "(--repair corrects delays and brightness, --calibration compare poses that are slightly off; "
+                "cameras of different lenses: another OUT with --no-shared-intrinsics), "
+                f"or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
+            ) from None
+        print(f"{capture}: check found poses alone at fault, which --calibration {poses} adjusts", file=sys.stderr)
     if not terms.exists():
         count = [] if frames is None else ["--frames", frames]
         shown.begin("protocol", capture, terms, "--check", verdicts, *count, *flags)

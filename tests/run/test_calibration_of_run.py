@@ -9,6 +9,8 @@ import pytest
 
 from ggvs_eval.capture import Calibration, Capture
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CommandError
+from ggvs_eval.pipelines.commands.evaluate import evaluate
 from ggvs_eval.pipelines.run.evaluate import measure, reopen
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
@@ -17,6 +19,7 @@ from ggvs_eval.protocol import CameraPath, Measurement, Protocol
 from ggvs_eval.reports.model.measured import limit_by_cameras, read_scores
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from helpers.refusals import refused
 from helpers.tasks_left import tasks_left
 from helpers.textured_rigs import knocked, see_straight, straight_rig, write_rig
 
@@ -80,6 +83,19 @@ def test_given_poses_that_limit_methods_are_named_first(tmp_path):
     assert "px): refine them in a new run (--calibration compare); the order of methods is decided by poses." in sentence
     assert tables[0].caption.startswith(sentence)
     assert evaluate_verdict(runs, results, tables).headline.startswith(sentence)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_poses_that_a_check_calls_bad_stop_who_does_not_refine_them(tmp_path, capsys):
+    """The stop names the option, and with it the same folder is evaluated by refined cameras."""
+    capture, out = written(tmp_path / "rig", 0.01), tmp_path / "out"
+    with refused(CommandError, "stopped: check found faults", "--calibration compare"):
+        evaluate(capture.path, out, methods=("no-blending",))
+    (out / "protocol.toml").write_text(protocol_of(capture).to_toml())
+    evaluate(capture.path, out, methods=("no-blending",), poses="compare")
+
+    assert "check found poses alone at fault, which --calibration compare adjusts" in capsys.readouterr().err
+    assert read_scores(out / "run").calibration.cameras == "refined"
 
 
 def test_precise_poses_are_not_compared(tmp_path):
