@@ -126,20 +126,12 @@ def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED, cla
 
     Examples:
         >>> describe_short(23, 2.4)
-        'clip too short: its 23 frames are worth 2 independent ones, since errors are correlated, of 10 needed'
-        >>> describe_short(3, 3.2)
-        'clip too short: it has 3 frames, of 10 independent ones needed'
+        'clip too short: 2 independent frames, 10 needed'
     """
     if worth >= wanted:
         return ""
-    independent = max(1, math.floor(worth))
-    if independent >= frames:
-        return f"{claim}: it has {counted(frames, 'frame')}, of {wanted:g} independent ones needed"
-    ones = "one" if independent == 1 else "ones"
-    return (
-        f"{claim}: its {frames} frames are worth {independent} independent {ones}, since errors are correlated, "
-        f"of {wanted:g} needed"
-    )
+    independent = max(1, min(frames, math.floor(worth)))
+    return f"{claim}: {counted(independent, 'independent frame')}, {wanted:g} needed"
 
 
 def correlation_posterior(series: ArrayLike) -> Posterior:

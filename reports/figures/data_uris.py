@@ -3,29 +3,24 @@
 import base64
 
 import cv2
-import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import resize
 
-WEBP_QUALITY = 80
+WEBP_QUALITY = 70
+MAP_QUALITY = 50  # of colour scales over a picture, such as errors
+LOSSLESS = 101  # OpenCV's word for WebP without loss
 
 
-def webp_bytes(image: Image8) -> bytes:
+def webp_bytes(image: Image8, quality: int = WEBP_QUALITY) -> bytes:
     """Compress an RGB image for looking at, not for measuring."""
-    _, encoded = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+    _, encoded = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, quality])
     return encoded.tobytes()
 
 
-def webp_uri(image: Image8) -> str:
+def webp_uri(image: Image8, quality: int = WEBP_QUALITY) -> str:
     """Return an RGB image as the address of a WebP picture."""
-    return "data:image/webp;base64," + base64.b64encode(webp_bytes(image)).decode("ascii")
-
-
-def png_uri(image: Image8) -> str:
-    """Return an RGB image as the address of a PNG picture, lossless."""
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    return "data:image/png;base64," + base64.b64encode(np.asarray(encoded).tobytes()).decode("ascii")
+    return "data:image/webp;base64," + base64.b64encode(webp_bytes(image, quality)).decode("ascii")
 
 
 def shrink(image: Image8, width: int) -> Image8:

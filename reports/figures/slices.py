@@ -9,13 +9,14 @@ from urllib.parse import quote
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.figures.axes import round_ticks, save_figure
-from ggvs_eval.reports.figures.data_uris import png_uri, shrink, webp_uri
+from ggvs_eval.reports.figures.data_uris import LOSSLESS, shrink, webp_uri
 from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
 from ggvs_eval.reports.figures.regions import comparison_weight
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -36,7 +37,6 @@ BREAK_TIMES = 4.0  # times the median of the strip
 NO_PATH = "Imported renders have no path; use `ggvs-eval figure time`, or render a path by `ggvs-eval run`"
 NO_TRUTH = "no reference on a virtual path"
 CONTEXT_WIDTH = 480
-SLICE_HEIGHT = 96  # of a picture of few samples
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,7 @@ class Slices:
         strips: the truth first, then every method.
         context: frame that the row is taken from.
         title: what the slice is of.
+        motion: mean change of the row over time, grey levels of 255; 0 along a path.
         first: number of its first sample, a frame or a pose.
         fps: samples per second; 0 if they are none of time, or it is unknown.
     """
@@ -86,6 +87,7 @@ class Slices:
     strips: tuple[Strip, ...]
     context: Image8
     title: str
+    motion: float = 0.0
     first: int = 0
     fps: float = 0.0
 
@@ -146,16 +148,15 @@ def _with_breaks(strips: Sequence[Strip]) -> tuple[Strip, ...]:
     )
 
 
-def most_changing_row(folder: Path, frames: range) -> int:
-    """Return the row of a fixed view with the largest mean change from frame to frame."""
-    change: np.ndarray | float = 0.0
-    previous: np.ndarray | None = None
-    for index in frames:
+def change_of_rows(folder: Path, frames: range) -> NDArray[np.float64]:
+    """Return the mean change of each row of a fixed view from frame to frame, (H,), grey levels of 255; zeros of one frame."""
+    previous = read_image(frame_path(folder, frames[0])).astype(np.int16)
+    change = np.zeros(len(previous))
+    for index in frames[1:]:
         image = read_image(frame_path(folder, index)).astype(np.int16)
-        if previous is not None:
-            change = change + np.abs(image - previous).mean(axis=(1, 2))  # (H,)
+        change += np.abs(image - previous).mean(axis=(1, 2)) / (len(frames) - 1)
         previous = image
-    return int(np.argmax(change)) if np.ndim(change) else (0 if previous is None else previous.shape[0] // 2)
+    return change
 
 
 def most_textured_row(images: Iterable[Image8]) -> int:
@@ -165,7 +166,7 @@ def most_textured_row(images: Iterable[Image8]) -> int:
 
 
 def most_different_row(folders: Mapping[str, Path], indices: range) -> int | None:
-    """Return the row in which the methods' weighted absolute errors differ most; None where fewer than two differ.
+    """Return the textured row in which the methods' weighted absolute errors differ most; None where fewer than two differ.
 
     Args:
         folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods represents it.
@@ -175,16 +176,18 @@ def most_different_row(folders: Mapping[str, Path], indices: range) -> int | Non
     if len(labels) < 2:
         return None
     apart: np.ndarray | float = 0.0
+    texture: np.ndarray | float = 0.0  # (H,), of the truth
     totals: np.ndarray | float = 0.0  # (methods, H)
     for index in indices[:: -(-len(indices) // INDICES_AT_MOST)]:
         images = np.stack([read_image(frame_path(folders[label], index)).astype(np.float32) for label in labels])
         truth = read_image(frame_path(folders["truth"], index)) if "truth" in folders else images.mean(axis=0)
         weight = comparison_weight(truth, images)  # (H, W)
+        texture = texture + weight.mean(axis=1)
         errors = (np.einsum("mhwc->mhw", np.abs(images - truth)) / 3 * weight).mean(axis=2)
         totals, apart = totals + errors, apart + errors.mean(axis=0)
     if "truth" in folders:
         apart = np.ptp(totals, axis=0)
-    return int(np.argmax(apart)) if np.max(apart) > 0 else None
+    return int(np.argmax(apart * texture)) if np.max(apart) > 0 else None
 
 
 def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
@@ -217,26 +220,26 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
     """x-t slices of the truth and every method in one view.
 
     Reading:
-        The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most, or the truth
-        changes most over time if there is one method alone or all are equal.
+        The paper fixes a row without saying which; unless one is given, it is the row in which the truth changes most over time:
+        in still rows all methods look alike. In a still view it is the row in which methods differ most.
     """
     views = run.protocol.views.test
     if view not in views:
         raise ResultsError(f"{run.folder.root}: no test view {view!r}; use one of {', '.join(views)}")
     folders = run.frame_folders(view)
-    row, chosen_by = _choose_row(
-        row,
-        folders,
-        run.frames,
-        lambda: most_changing_row(folders["truth"], run.frames),
-        "the largest change of the reference from frame to frame",
-    )
+    change = change_of_rows(folders["truth"], run.frames)
+    if row is not None:
+        chosen_by = "given"
+    elif change.any():
+        row, chosen_by = int(np.argmax(change)), "the largest change of the reference from frame to frame"
+    else:
+        row, chosen_by = _choose_row(None, folders, run.frames, lambda: len(change) // 2, "the middle")
     strips = _with_breaks(
         [Strip(label, run.name(label), stacked_rows(folder, run.frames, row)) for label, folder in folders.items()]
     )
     context = read_image(frame_path(folders["truth"], run.frames[len(run.frames) // 2]))
     title, fps = f"{len(run.frames)} frames of {view}", float(run.capture.get("fps") or 0)
-    return Slices("time", view, row, chosen_by, strips, context, title, run.frames[0], fps)
+    return Slices("time", view, row, chosen_by, strips, context, title, float(change.max()), run.frames[0], fps)
 
 
 def _choose_row(
@@ -326,15 +329,16 @@ def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> N
 
 
 def slices_section(report: Report) -> SectionContent:
-    """Return the slices of each run, for the page and as figures; the viewer opens at the row of the first one over time."""
+    """Return the slices of each run, for the page and as figures; the viewer opens at the view and row that move most."""
     slices_of_runs = {key: all_slices(run) for key, run in report.runs.items()}
     values = {}
-    data = {}
+    data: dict[str, dict[str, int]] = {}
     for key, of_run in slices_of_runs.items():
         has_path = any(slices.kind == "epi" for slices in of_run)
         values[key] = {"slices": list(map(_pictures, of_run)), "has_path": has_path}
-        rows = [slices.row for slices in of_run if slices.kind == "time"]
-        data[key] = {"row": rows[0]} if rows else {}
+        if over_time := [slices for slices in of_run if slices.kind == "time"]:
+            livest = max(over_time, key=lambda slices: slices.motion)
+            values[key]["opening_view"], data[key] = livest.view, {"row": livest.row}
 
     def figures(places: FigurePlaces) -> Iterator[Draw]:
         for key, of_run in slices_of_runs.items():
@@ -373,9 +377,10 @@ def _picture_of_strip(slices: Slices, strip: Strip) -> dict[str, Any]:
     count, width = strip.image.shape[:2]
     number, breaks = ("frame" if slices.kind == "time" else "pose"), []
     for one in strip.breaks:
-        words = f"{number} {slices.first + one.at}, x {one.x}: its change differs by {one.apart:.0f} levels from the reference's"
+        words = (
+            f"{number} {slices.first + one.at}, column {one.x}: changes by {one.apart:.0f} levels more or less than the reference"
+        )
         place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
         left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
         breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})
-    tall = np.repeat(strip.image, max(1, round(SLICE_HEIGHT / count)), axis=0)  # no value is changed
-    return {"name": strip.name, "picture": png_uri(tall), "breaks": breaks}
+    return {"name": strip.name, "picture": webp_uri(strip.image, LOSSLESS), "breaks": breaks}

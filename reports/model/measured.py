@@ -19,7 +19,7 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
+from ggvs_eval.reports.model.table import DASH, Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results, label_of, without_labels, without_option
 from ggvs_eval.run_folder import ON_SCREEN, RunFolder, read_json, require_frames
 
@@ -173,7 +173,7 @@ def _mean_reference(by_scene: Mapping[str, Reference], scenes: Collection[str]) 
 def _cell(note: MetricNote, reference: Reference) -> Cell:
     value = reference.values.get(note.name)
     if value is None:
-        return Cell("no such reference")
+        return Cell(DASH, note="no such reference")
     if isinstance(value, str):
         return Cell("not computed", note=value)
     return Cell(format_value(value, note.decimals), value, bound=reference.bounds.get(note.name, ""))

@@ -9,6 +9,7 @@ from ggvs_eval.statistics.intervals import LEVEL, Interval
 from ggvs_eval.statistics.paired import Judgement
 
 SIGNIFICANT = 4
+DASH = "–"  # of a cell whose reason is in its note, and once below the table
 SHORT = "†"  # behind an interval of a clip too short for it
 SHORT_MEANS = f"{SHORT}: the clip is short for the correlation of its errors, and the interval may cover less than it says."
 
@@ -152,6 +153,12 @@ class Table:
     notes: tuple[str, ...] = ()
     judgements: Mapping[str, Judgement] = field(default_factory=dict)
 
+    @property
+    def footnote(self) -> str:
+        """Meaning of the dashes; empty if there is none."""
+        reasons = dict.fromkeys(cell.note for row in self.rows for cell in row.cells if cell.text == DASH and cell.note)
+        return f"{DASH}: {', or '.join(reasons)}." if reasons else ""
+
 
 def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, ...]:
     """Return one table per data set with these columns alone, in this order, from any tables.
@@ -173,7 +180,7 @@ def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
     rows = []
     for name in sorted(kinds, key=lambda name: kinds[name][0] in GREY):  # stable: grey rows last
-        shown = (cells[table.key, name][at] if (table.key, name) in cells else Cell("–") for table, at in places)
+        shown = (cells[table.key, name][at] if (table.key, name) in cells else Cell(DASH) for table, at in places)
         row = Row(name, tuple(shown), *kinds[name])
         if not row.is_grey or any(cell.value is not None for cell in row.cells):
             rows.append(row)

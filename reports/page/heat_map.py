@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.reports.figures.data_uris import png_uri
+from ggvs_eval.reports.figures.data_uris import LOSSLESS, webp_uri
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.section import Report, SectionContent
 
@@ -78,7 +78,7 @@ def heat_colours(count: int = 64) -> Image8:
 def heat_section(report: Report) -> SectionContent:
     """Return the heat maps of each run, which the page's viewer draws; those of one frame are not worth a part of the page."""
     colours = ["#" + bytes(colour).hex() for colour in heat_colours()[0]]
-    values: dict[str, dict[str, Any]] = {"": {"heat_scale": png_uri(heat_colours())}}
+    values: dict[str, dict[str, Any]] = {"": {"heat_scale": webp_uri(heat_colours(), LOSSLESS)}}
     data = {}
     for key, run in report.runs.items():
         maps = heat_maps(run)

@@ -21,7 +21,7 @@ from ggvs_eval.files.images import mean_of_channels, read_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.progress import track
-from ggvs_eval.reports.figures.data_uris import shrink, webp_bytes, webp_uri
+from ggvs_eval.reports.figures.data_uris import MAP_QUALITY, shrink, webp_bytes, webp_uri
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import DIAGNOSTICS, frame_path, missing_frames
@@ -33,17 +33,17 @@ MEANINGS = {
     "coverage": ("coverage", "coverage by the splatted views, none dark blue, full yellow"),
     "motion": ("motion", "motion, which resets temporal blending, yellow; none dark blue"),
 }
-FRAME_BYTES = 10_000_000
+FRAME_BYTES = 4_000_000
 FRAMES_AT_MOST = 900
 CLEAR_WIDTH = 320  # pixels; where all frames would be narrower, fewer are shown
 FRAMES_AT_LEAST = 8
 ERROR_SHARE = 0.5
-VIDEO_BYTES = 3_000_000
+VIDEO_BYTES = 900_000
 VIDEO_FRAMES_AT_MOST = 300
 VIDEO_WIDTHS = (480, 320, 240, 160)
 CRF = 26.0  # for looking at; x264's own default is 23
 DEFAULT_FPS = 10.0
-PATH_BYTES = 3_000_000
+PATH_BYTES = 900_000
 UNDONE = "undone"  # behind the label of a method, in the key of its frames with their faults undone
 NOTHING_255 = 128  # grey of a picture that an undone offset leaves without a frame
 POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for one row
@@ -179,13 +179,13 @@ def _compress_frames(
     for label in run.pictured:
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
-        pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))
+        pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)), MAP_QUALITY)
     for label, one in undone.items():
         frame_undone = one.read(view, frame)
         shown = np.full_like(truth, NOTHING_255) if frame_undone is None else frame_undone
         pictures[f"{label}/{UNDONE}"] = webp_uri(shrink(shown, width)), ""
     for key, folder in diagnostics[view].items():
-        pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width)), ""
+        pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width), MAP_QUALITY), ""
     return pictures
 
 

@@ -104,7 +104,7 @@ def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
 
 
 def over_time_section(report: Report) -> SectionContent:
-    """Return the headline metric of each group over the time of a frame."""
+    """Return the headline metric of each group over the time of a frame, and the frames per second of each method."""
     values = {}
     for group in report.groups:
         verdict = group.verdict
@@ -112,5 +112,7 @@ def over_time_section(report: Report) -> SectionContent:
             methods = (*verdict.contenders, *verdict.parts)
             numbers = [(method.name, method.cell.value) for method in methods if method.cell.value is not None]
             timings = list(map(timing_table, group.runs.values()))
-            values[group.id] = {"over_time": quality_over_time(verdict.column, numbers, timings)}
+            times_ms = {name: time for name, _ in numbers if (time := _mean_time(name, timings))}
+            rates = {name: f"{1000 / time:.{1 if time > 100 else 0}f}" for name, time in times_ms.items()}
+            values[group.id] = {"over_time": quality_over_time(verdict.column, numbers, timings), "rates": rates}
     return SectionContent(values=values)

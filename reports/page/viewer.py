@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ggvs_eval.reports.figures.data_uris import png_uri
+from ggvs_eval.reports.figures.data_uris import LOSSLESS, webp_uri
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.page import run_words
@@ -39,7 +39,7 @@ def viewer_section(report: Report) -> SectionContent:
         for key, run in group.runs.items():
             undone = report.values(key).get("undone_frames", {})
             values[key], data[key] = _of_run(run, rooms[key], group.verdict, undone, report.folder)
-    scale = {"error_scale": png_uri(error_scale()), "error_full_scale": int(ERROR_FULL_SCALE)}
+    scale = {"error_scale": webp_uri(error_scale(), LOSSLESS), "error_full_scale": int(ERROR_FULL_SCALE)}
     values[""] = scale | {"refers": any(of_run["full"] for of_run in data.values())}
     return SectionContent(values=values, data=data)
 

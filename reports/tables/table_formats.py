@@ -240,7 +240,7 @@ def _note(table: Table) -> str:
     for column in table.columns:
         by_unit.setdefault(column.unit, []).append(column.name)
     units = "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items() if unit)
-    return " ".join(filter(None, (*table.notes, f"{units}." if units else "")))
+    return " ".join(filter(None, (*table.notes, table.footnote, f"{units}." if units else "")))
 
 
 def _markdown_cell(row: Row, cell: Cell) -> str:

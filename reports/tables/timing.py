@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.model.table import Cell, Column, Table
+from ggvs_eval.reports.model.table import DASH, Cell, Column, Table
 from ggvs_eval.reports.section import RUNS_KEPT
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
 
@@ -52,9 +52,9 @@ def _stage_seconds(records: Sequence[dict[str, Any]], first: int) -> dict[str, l
 
 def _stage_cell(stages: dict[str, list[float]], stage: str) -> Cell:
     if not stages:
-        return Cell("not computed: no times recorded")
+        return Cell(DASH, note="no times recorded")
     if not stages.get(stage):
-        return Cell("no such stage")
+        return Cell(DASH, note="no such stage")
     median, p95 = np.percentile(stages[stage], [50, 95]) * 1000
     return Cell(f"{median:.1f}", float(median), beside=f"({p95:.1f})")
 

@@ -186,7 +186,26 @@ def test_each_link_leads_to_its_section(shown):
 OPENED = """(parts => parts.map(part => [0, 1].map(() => {
     part.firstElementChild.click();
     return [part.open, part.lastElementChild.checkVisibility()];
-})))([...document.querySelectorAll('details')].filter(part => part.checkVisibility()))"""
+})))([...document.querySelectorAll('details:not(.caption)')].filter(part => part.checkVisibility()))"""
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (1000, 900), PHONE], ids=["desktop", "narrow", "phone"])
+def test_long_captions_are_two_lines_until_they_are_opened(started, painted, size):
+    """What is longer is behind "more", by a click; the plot of quality and time is next to the list of methods, not below it."""
+    started.visit(painted, size, place="#results")
+    lines = (
+        "[...document.querySelectorAll('details.caption')].filter(one => one.checkVisibility())"
+        ".map(one => one.querySelector('span').clientHeight / parseFloat(getComputedStyle(one).lineHeight))"
+    )
+    folded = started.run(lines)
+    assert folded
+    assert max(folded) <= 2.1
+    started.run("document.querySelector('#results details.caption > summary').click()")
+    assert max(started.run(lines)) > 2.1
+    started.visit(painted, size)
+    top = "document.querySelector('%s').getBoundingClientRect().y"
+    plot, standings = (started.run(top % name) for name in (".over-time", ".standings"))
+    assert (abs(plot - standings) < 40) == (size != PHONE)
 
 
 def test_each_part_opens_and_closes(shown):

@@ -10,17 +10,20 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.figures.slices import (
-    most_changing_row,
+    change_of_rows,
     most_different_row,
     most_textured_row,
     path_slices,
+    slices_section,
     stacked_rows,
     time_slices,
 )
 from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report
 from ggvs_eval.run_folder import frame_path
 from helpers.refusals import refused
-from helpers.run_folders import RunShape, write_run
+from helpers.run_folders import LABELS, RunShape, write_run
 
 
 @pytest.fixture
@@ -54,7 +57,10 @@ def test_row_of_largest_change_is_found(tmp_path):
         image = np.full((16, 12, 3), 90, np.uint8)
         image[13] += 20 * (index % 2)
         write_image(frame_path(tmp_path, index), image)
-    assert most_changing_row(tmp_path, range(4)) == 13
+    change = change_of_rows(tmp_path, range(4))
+    assert change.argmax() == 13
+    assert change[13] == 20
+    assert not change_of_rows(tmp_path, range(1)).any()
     image = np.zeros((16, 12, 3), np.uint8)
     image[8:] = 255
     image[5, ::2] = 80
@@ -84,6 +90,24 @@ def test_every_method_stands_beside_the_truth(tmp_path):
     assert [strip.name for strip in slices.strips] == ["Truth", *(run.name(label) for label in run.labels)]
     for strip, folder in zip(slices.strips, run.frame_folders("cam03").values(), strict=True):
         np.testing.assert_array_equal(strip.image, [read_image(frame_path(folder, index))[12] for index in run.frames])
+
+
+def test_a_moving_view_is_cut_where_it_moves_and_opens_the_page(tmp_path):
+    """In the view and row of most motion methods differ visibly; a clip that stands still is cut where methods differ."""
+    shape = RunShape(frames=Frames(0, 3), dataset="DyNeRF")
+
+    def draw(label: str, view: str, index: int) -> np.ndarray:
+        picture = np.full((shape.height, shape.width, 3), 90, np.uint8)
+        picture[17] += 30 * index if view == "cam03" else 0
+        picture[5] += 40 if label == LABELS[0] else 0
+        return picture
+
+    run = read_run(write_run(tmp_path / "run", shape, draw))
+    assert [time_slices(run, view).row for view in ("cam00", "cam03")] == [5, 17]
+    content = slices_section(Report(read_groups([tmp_path / "run"])))
+    ((key, values),) = content.values.items()
+    assert values["opening_view"] == "cam03"
+    assert content.data[key] == {"row": 17}
 
 
 def test_virtual_path_has_no_truth(tmp_path):

@@ -279,8 +279,8 @@ def test_a_ceiling_that_cannot_be_computed_is_one_line(tmp_path):
     (table,) = main_tables([run], run.results)
     rows = [row for row in table.rows if row.kind == "reference"]
     assert [[cell.text for cell in row.cells] for row in rows] == [
-        ["not computed", "50.00", "no such reference"],
-        ["not computed", "40.00", "no such reference"],
+        ["not computed", "50.00", "–"],
+        ["not computed", "40.00", "–"],
     ]
     assert "Ceiling: perfect: Ceiling: perfect. Ceiling: second: Ceiling: second. Not computed for SSIM: " in " ".join(
         table.notes
@@ -296,4 +296,4 @@ def test_a_ceiling_that_is_a_bound_says_so(tmp_path):
     measured = read_run(run)
     (table,) = main_tables([measured], measured.results)
     rows = [[cell.shown for cell in row.cells] for row in table.rows if row.kind == "reference"]
-    assert rows == [["0.980", "at most 40.50", "no such reference"], ["0.970", "40.00", "no such reference"]]
+    assert rows == [["0.980", "at most 40.50", "–"], ["0.970", "40.00", "–"]]

@@ -101,8 +101,8 @@ def test_a_clip_too_short_for_its_correlation_names_no_winner():
     assert found.difference == pytest.approx(0.3, abs=0.01)
     assert found.low < found.difference < found.high
     assert found.p_value < 0.05
-    assert re.fullmatch(r"clip too short: its 24 frames are worth [123] independent ones?, .*", found.short)
-    assert "interval perhaps too narrow: its 24 frames are worth" in found.note
+    assert re.fullmatch(r"clip too short: [123] independent frames?, .*", found.short)
+    assert "interval perhaps too narrow: " in found.note
     open_ = judge(slow, "PSNR", True, "Demo")
     assert (open_.best, open_.winner, open_.having("too short"), open_.having("as good")) == ("a", "", ("b",), ())
     assert (open_.undecided, open_.marked) == (found.short, frozenset())

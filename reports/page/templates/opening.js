@@ -12,7 +12,7 @@ function makeOpening(root, data, open) {
   const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const player = makePlayer(part("run"), () => show(at + 1), data.frames.length > 1 ? data.fps : 1 / VIEW_SECONDS);
   const insets = JSON.parse(root.dataset.insets); // view -> place of the enlarged square, in its sides
-  let at = 0;
+  let at = Math.max(0, data.views.indexOf(root.dataset.view)) * data.frames.length; // the view in which most moves
   let resumes = !isStill && count > 1; // whether it plays when it comes into sight
 
   const view = () => data.views[Math.floor(at / data.frames.length)];
@@ -42,7 +42,7 @@ function makeOpening(root, data, open) {
   });
   part("run").hidden = count === 1;
   part("run").closest("p").hidden = false;
-  show(0);
+  show(at);
   new IntersectionObserver((entries) => {
     const isSeen = entries.at(-1).isIntersecting;
     if (!isSeen) resumes = player.isPlaying();

@@ -14,7 +14,7 @@ function makeTabs(nav) {
     }
     nav.closest("article")?.classList.toggle("elsewhere", chosen !== nav.querySelector("a")); // the first part alone has the whole first screen
     const { offsetLeft, offsetWidth } = chosen;
-    nav.scrollLeft = Math.min(nav.scrollLeft, offsetLeft) || offsetLeft + offsetWidth - nav.clientWidth;
+    nav.scrollLeft = offsetLeft + (offsetWidth - nav.clientWidth) / 2; // its neighbours show that there are more
   }
 
   /** Choose the sheet that holds an element, if one does; of several links to it the one that `isMeant`. */
