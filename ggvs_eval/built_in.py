@@ -13,13 +13,13 @@ class Derived(NamedTuple):
 
     Attributes:
         base: name of another entry of its table, or ``module:attribute``.
-        make: ``module:function`` of that and of what is given.
-        given: its further arguments.
+        make: ``module:function`` of that and of the arguments.
+        arguments: its further arguments.
     """
 
     base: str
     make: str
-    given: tuple[Any, ...] = ()
+    arguments: tuple[Any, ...] = ()
 
 
 class Verb(NamedTuple):

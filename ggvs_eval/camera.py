@@ -63,7 +63,6 @@ class Camera:
     range_origin: RangeOrigin = field(default="given", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        """Validate the camera; errors name it."""
         for name, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):
             matrix = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if matrix.shape != shape or not np.isfinite(matrix).all():
@@ -220,10 +219,10 @@ class Camera:
         """
         return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
 
-    def shows_the_same_rays(self, other: "Camera") -> bool:
+    def shows_the_same_rays(self, camera: "Camera") -> bool:
         """Return whether two cameras have the same rays at the same pixels, regardless of their names."""
-        same_pose = np.array_equal(self.world_to_camera, other.world_to_camera)
-        return same_pose and np.array_equal(self.K, other.K) and self.size == other.size
+        same_pose = np.array_equal(self.world_to_camera, camera.world_to_camera)
+        return same_pose and np.array_equal(self.K, camera.K) and self.size == camera.size
 
     def rays(self) -> Array:
         """Direction of each pixel's ray in the world, (H, W, 3), scaled so that centre + depth * ray has that depth."""
@@ -265,9 +264,9 @@ def pinhole_K(fx: float, fy: float, cx: float, cy: float) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _is_near(values: Array, wanted: Array, atol: float) -> bool:
+def _is_near(values: Array, reference: Array, atol: float) -> bool:
     """`np.allclose` of its default rtol, in a tenth of the time: every step makes cameras."""
-    return bool((np.abs(values - wanted) <= atol + 1e-5 * np.abs(wanted)).all())
+    return bool((np.abs(values - reference) <= atol + 1e-5 * np.abs(reference)).all())
 
 
 def nearest_rotation(matrix: Array) -> tuple[Array, float]:
@@ -306,10 +305,10 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
         >>> [each.name for each in nearest_cameras(rig[0], rig, 2)]
         ['path0001', 'path0002']
     """
-    others = [camera for camera in cameras if camera.name != target.name]
-    if len(others) < count:
-        raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(others)} others")
-    return sorted(others, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name))[:count]
+    candidates = [camera for camera in cameras if camera.name != target.name]
+    if len(candidates) < count:
+        raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(candidates)} others")
+    return sorted(candidates, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name))[:count]
 
 
 def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:

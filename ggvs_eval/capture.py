@@ -262,12 +262,12 @@ class Capture:
         """Return the same capture lacking some cameras; the reason becomes a note if there are any."""
         if not set(names) & set(self.camera_names):
             return self
-        kept = [index for index, camera in enumerate(self.cameras) if camera.name not in names]
+        indices = [index for index, camera in enumerate(self.cameras) if camera.name not in names]
         return replace(
             self,
-            cameras=tuple(self.cameras[index] for index in kept),
-            sources=tuple(self.sources[index] for index in kept),
-            extras=tuple(self.extras[index] for index in kept) if self.extras else (),
+            cameras=tuple(self.cameras[index] for index in indices),
+            sources=tuple(self.sources[index] for index in indices),
+            extras=tuple(self.extras[index] for index in indices) if self.extras else (),
             notes=(*self.notes, f"{', '.join(names)} left out: {reason}"),
             test_views=tuple(name for name in self.test_views if name not in names),
         )

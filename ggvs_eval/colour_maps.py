@@ -106,8 +106,8 @@ def _checks(shape: tuple[int, ...]) -> Image8:
 
 
 def _gradient(name: str) -> tuple[str, ...]:
-    chosen = _table(name)[np.rint(np.linspace(0, 255, STOPS)).astype(np.intp)]
-    return tuple(f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in chosen.tolist())
+    colours = _table(name)[np.rint(np.linspace(0, 255, STOPS)).astype(np.intp)]
+    return tuple(f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in colours.tolist())
 
 
 def _ticks(values: NDArray[np.floating]) -> tuple[tuple[float, float], ...]:

@@ -59,19 +59,19 @@ class Coverage:
 
     def unfinished(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> set[str]:
         """Return the methods rendered here that lack frames which they have not refused: an earlier call was stopped."""
-        here = [label for label in labels if label not in self.imported]
+        local_labels = [label for label in labels if label not in self.imported]
         files = {
             label: [frame_path(run.renders(label, view), frame) for view in views for frame in self.frames(label, view)]
-            for label in here
+            for label in local_labels
         }
         return {label for label, frames in files.items() if not all(frame.is_file() for frame in frames)}
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
         """Refuse a run in which frames are missing that should be there."""
         require_imported(run, labels)
-        whole = [label for label in labels if label not in self.partial]
-        if whole:
-            require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.numbers)
+        complete = [label for label in labels if label not in self.partial]
+        if complete:
+            require_frames({f"{label} in {view}": run.renders(label, view) for label in complete for view in views}, self.numbers)
         for label, by_view in self.partial.items():
             for view, frames in by_view.items():
                 for stretch in self.stretches(label, view) if frames else ():

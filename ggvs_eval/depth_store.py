@@ -43,12 +43,12 @@ class DepthMap:
 
     def clean(self) -> "DepthMap":
         """Return the same where depth `is_known`; elsewhere depth, guess and confidence are 0."""
-        known, nothing = is_known(self.depth), np.float32(0)
-        guess = None if self.guess is None else np.where(is_known(self.guess), self.guess, nothing)
-        stray = ~known & ((self.depth != 0) | (self.confidence != 0))
+        mask, zero = is_known(self.depth), np.float32(0)
+        guess = None if self.guess is None else np.where(is_known(self.guess), self.guess, zero)
+        stray = ~mask & ((self.depth != 0) | (self.confidence != 0))
         if guess is None and not stray.any():
             return self
-        return DepthMap(np.where(known, self.depth, nothing), np.where(known, self.confidence, nothing), guess)
+        return DepthMap(np.where(mask, self.depth, zero), np.where(mask, self.confidence, zero), guess)
 
 
 def is_known(depth: Map) -> Mask:
@@ -64,7 +64,7 @@ def describe_depth(
     Args:
         options: parameters and code of the algorithm, values that JSON knows.
     """
-    cameras = [{"name": each.name, **each.to_json(), "frames": digests[each.name]} for each in (camera, *partners)]
+    cameras = [{"name": view.name, **view.to_json(), "frames": digests[view.name]} for view in (camera, *partners)]
     return {"camera": cameras[0], "partners": cameras[1:], "options": dict(options)}
 
 
@@ -94,10 +94,10 @@ class DepthJob:
         """The same depth as it was found."""
         return replace(self, checked_with=(), spec={name: self.spec[name] for name in self.spec if name not in CHECK_ENTRIES})
 
-    def checked_against(self, others: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
+    def checked_against(self, partners: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
         """Return the depth, checked against that of other cameras."""
-        spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([other.key for other in others], check), strict=True))
-        return replace(self, checked_with=others, spec=spec)
+        spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([partner.key for partner in partners], check), strict=True))
+        return replace(self, checked_with=partners, spec=spec)
 
 
 class DepthStore:
@@ -163,8 +163,8 @@ class DepthStore:
             raise DepthError(
                 f"{path}: not a readable depth map ({error}); move this file away and run `ggvs-eval prepare` again"
             ) from error
-        for each in (depth, depth if guess is None else guess):
-            _check(path, each, confidence)
+        for depth_map in (depth, depth if guess is None else guess):
+            _check(path, depth_map, confidence)
         return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS), guess)
 
 

@@ -15,8 +15,8 @@ def depth_tasks(jobs: Iterable[DepthJob], frames: Sequence[int], store: DepthSto
     tasks = []
     for job in dict.fromkeys(jobs):
         needs = (job.unchecked, *job.checked_with) if job.checked_with else ()
-        found = [_task(need, frames, store, FOUND) for need in needs]
-        tasks.append(_task(job, frames, store, CHECKED if needs else FOUND, found))
+        searches = [_task(need, frames, store, FOUND) for need in needs]
+        tasks.append(_task(job, frames, store, CHECKED if needs else FOUND, searches))
     return tasks
 
 
@@ -35,9 +35,9 @@ def _task(job: DepthJob, frames: Sequence[int], store: DepthStore, kind: str, ne
 
 def missing_depth(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
     """Return the instants that a store lacks of some jobs: those to be found, and those to be checked."""
-    known = {store.folder(need.key): need for job in jobs for need in (job, job.unchecked, *job.checked_with)}
+    jobs_by_folder = {store.folder(need.key): need for job in jobs for need in (job, job.unchecked, *job.checked_with)}
     instants: dict[str, dict[DepthJob, list[int]]] = {FOUND: {}, CHECKED: {}}
     for task in left_of(depth_tasks(jobs, frames, store)):
         assert isinstance(task, FileTask)
-        instants[task.kind][known[task.folder]] = frame_numbers(task.files)
+        instants[task.kind][jobs_by_folder[task.folder]] = frame_numbers(task.files)
     return instants[FOUND], instants[CHECKED]

@@ -153,20 +153,20 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: s
         >>> did_you_mean("cam3", ["cam03", "cam23"]), did_you_mean("cam03,cam23", ["cam03", "cam23"])
         ('; did you mean cam03?', '; separate names by spaces: cam03 cam23')
     """
-    known = list(names)
-    if "," in name and set(parts := re.split(r"[,\s]+", name.strip(", "))) <= {*known}:
+    candidates = list(names)
+    if "," in name and set(parts := re.split(r"[,\s]+", name.strip(", "))) <= {*candidates}:
         return f"; separate names by spaces: {' '.join(parts)}"
-    alike = [one for one in known if _plain_numbers(one) == _plain_numbers(name)]
-    nearest = alike or (get_close_matches(name, known, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else [])
+    alike = [candidate for candidate in candidates if _plain_numbers(candidate) == _plain_numbers(name)]
+    nearest = alike or (get_close_matches(name, candidates, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else [])
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""
 
 
-def no_such_path(path: Path, wanted: str) -> str:
+def no_such_path(path: Path, kind: str) -> str:
     """Return the message that there is nothing at a path, with the name next to it that was probably meant."""
     place = path.parent
-    names = [one.name for one in place.iterdir()] if place.is_dir() else []
+    names = [neighbour.name for neighbour in place.iterdir()] if place.is_dir() else []
     suggestion = did_you_mean(path.name, names, prefix="" if str(place) == "." else f"{place}/")
-    return f"{path}: wanted {wanted}, got no such path{suggestion or '; check it'}"
+    return f"{path}: wanted {kind}, got no such path{suggestion or '; check it'}"
 
 
 def _plain_numbers(name: str) -> str:
@@ -186,7 +186,6 @@ class Failure:
     traceback: str = ""
 
     def __str__(self) -> str:
-        """Return the name of the task and the reason in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
     @classmethod

@@ -51,10 +51,10 @@ def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C"}
     deadline = time.monotonic() + wait_s
     while True:
-        done = subprocess.run(["apt-get", *words], env=environment, capture_output=True, text=True, check=False)
-        if done.returncode == 0 or LOCKED not in done.stderr or time.monotonic() > deadline:
-            sys.stderr.write(done.stderr)
-            return done.returncode
+        process = subprocess.run(["apt-get", *words], env=environment, capture_output=True, text=True, check=False)
+        if process.returncode == 0 or LOCKED not in process.stderr or time.monotonic() > deadline:
+            sys.stderr.write(process.stderr)
+            return process.returncode
         time.sleep(LOCK_POLL_S)
 
 

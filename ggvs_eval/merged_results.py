@@ -43,13 +43,13 @@ def merge_results(parts: Sequence[Results]) -> Results:
     for name in ("versions", "machine"):
         provenance[name] = join_versions(part.provenance.get(name, {}) for part in parts)
     marks = [*(part.partial for part in parts), _missing_scenes(table)]
-    labels = dict.fromkeys(label for each in marks for label in each)
-    provenance["partial"] = {label: "; ".join(dict.fromkeys(each[label] for each in marks if label in each)) for label in labels}
-    provenance["faults"] = [list(one) for part in parts for one in part.faults]
-    measured = set(table["metric"])
-    lacking = [one for part in parts for one in _absent_everywhere(part, measured)]
-    provenance["absent"] = [list(one) for one in (*(one for part in parts for one in part.absences), *lacking)]
-    reasons = {name: why for part in reversed(parts) for name, why in part.not_computed.items() if name not in measured}
+    labels = dict.fromkeys(label for mark in marks for label in mark)
+    provenance["partial"] = {label: "; ".join(dict.fromkeys(mark[label] for mark in marks if label in mark)) for label in labels}
+    provenance["faults"] = [list(fault) for part in parts for fault in part.faults]
+    metrics = set(table["metric"])
+    lacking = [absence for part in parts for absence in _absent_everywhere(part, metrics)]
+    provenance["absent"] = [list(absence) for absence in (*(absence for part in parts for absence in part.absences), *lacking)]
+    reasons = {name: why for part in reversed(parts) for name, why in part.not_computed.items() if name not in metrics}
     return Results(table, provenance, reasons)
 
 
@@ -62,16 +62,16 @@ def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
     for part in parts:
         for scene in part.scenes:
             name_of.setdefault(_digest_of(part, scene), scene)
-    taken = Counter(name_of.values())
-    distinct = {digest: f"{name} {digest[:DIGITS]}" if taken[name] > 1 else name for digest, name in name_of.items()}
+    counts = Counter(name_of.values())
+    distinct = {digest: f"{name} {digest[:DIGITS]}" if counts[name] > 1 else name for digest, name in name_of.items()}
     return [with_scenes(part, {scene: distinct[_digest_of(part, scene)] for scene in part.scenes}) for part in parts]
 
 
 def _digest_of(results: Results, scene: str) -> str:
     """Return the digest of the frames of a scene's cameras, or of its name where no frames are recorded."""
     inputs = results.inputs
-    own = {name.removeprefix(f"{scene}/"): digest for name, digest in inputs.items() if name.startswith(f"{scene}/")}
-    return digest_values(*(f"{name} {own[name]}" for name in sorted(own))) if own else digest_values(scene)
+    digests = {name.removeprefix(f"{scene}/"): digest for name, digest in inputs.items() if name.startswith(f"{scene}/")}
+    return digest_values(*(f"{name} {digests[name]}" for name in sorted(digests))) if digests else digest_values(scene)
 
 
 def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
@@ -81,10 +81,10 @@ def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
         return results
     inputs = results.inputs
     for scene, name in names.items():
-        own = {key: f"{name}/{key.removeprefix(f'{scene}/')}" for key in inputs if key.startswith(f"{scene}/")}
-        inputs = {own.get(key, key): digest for key, digest in inputs.items()}
-    absent = [list(one._replace(scene=names.get(one.scene, one.scene))) for one in results.absences]
-    faults = [list(one._replace(scene=names.get(one.scene, one.scene))) for one in results.faults]
+        new_keys = {key: f"{name}/{key.removeprefix(f'{scene}/')}" for key in inputs if key.startswith(f"{scene}/")}
+        inputs = {new_keys.get(key, key): digest for key, digest in inputs.items()}
+    absent = [list(absence._replace(scene=names.get(absence.scene, absence.scene))) for absence in results.absences]
+    faults = [list(fault._replace(scene=names.get(fault.scene, fault.scene))) for fault in results.faults]
     table = results.table.assign(scene=results.table["scene"].replace(dict(names)))
     return replace(results, table=table, provenance=results.provenance | {"inputs": inputs, "absent": absent, "faults": faults})
 
@@ -97,9 +97,9 @@ def _require_measured_once(parts: Sequence[Results]) -> None:
     if twice.empty:
         return
     first = twice.iloc[0]
-    same = twice[twice[keys].fillna("").eq(first[keys].fillna("")).all(axis=1)]
+    repeats = twice[twice[keys].fillna("").eq(first[keys].fillna("")).all(axis=1)]
     label = label_of(first["method"], first["variant"])
-    places = [parts[at].place or f"part {at + 1}" for at in dict.fromkeys(same["place"])]
+    places = [parts[at].place or f"part {at + 1}" for at in dict.fromkeys(repeats["place"])]
     if len(places) > 1:
         raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; leave out one of them")
     raise ResultsError(
@@ -118,11 +118,11 @@ def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
     return marks
 
 
-def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
+def _absent_everywhere(part: Results, metrics: set[str]) -> list[Absence]:
     """Return the values that no method of a part has and methods of others do, for each of its methods."""
     labels, scene = dict.fromkeys(part.row_labels), ", ".join(part.scenes)
     return [
-        Absence(name, label, scene, "", why) for name, why in part.not_computed.items() if name in measured for label in labels
+        Absence(name, label, scene, "", why) for name, why in part.not_computed.items() if name in metrics for label in labels
     ]
 
 

@@ -171,7 +171,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         if isinstance(entry, Derived):
             if entry not in self._made:
                 base = self._built_in(self.shipped.get(entry.base, entry.base))
-                self._made[entry] = pkgutil.resolve_name(entry.make)(base, *entry.given)
+                self._made[entry] = pkgutil.resolve_name(entry.make)(base, *entry.arguments)
             return self._made[entry]
         return pkgutil.resolve_name(entry) if isinstance(entry, str) else entry
 
@@ -193,11 +193,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 
 @contextmanager
-def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
+def foreign(subject: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
     """Turn whatever a plug-in's code raises in the block but Ctrl-C into an error of this package; it may not change the folder.
 
     Args:
-        what: the plug-in, and what of it, for the message.
+        subject: the plug-in, and what of it, for the message.
         kind: of the error; those of this package pass as they are, unless they are to cost a view alone.
     """
     passes = kind if kind is ViewRefusedError else GgvsError
@@ -207,7 +207,7 @@ def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | passes):
             raise
-        raise kind(f"plug-in {what} ({_reason(error)}); fix or uninstall it") from error
+        raise kind(f"plug-in {subject} ({_reason(error)}); fix or uninstall it") from error
 
 
 def use_file(path: Path) -> None:
@@ -224,7 +224,7 @@ def use_file(path: Path) -> None:
         raise PluginError(
             f"{path}: wanted a table METRICS, METHODS, DATASETS or SECTIONS of names and objects, got none; see docs/extending.md"
         )
-    named = [each for each in os.environ.get(FILES, "").split(os.pathsep) if each]
+    named = [name for name in os.environ.get(FILES, "").split(os.pathsep) if name]
     os.environ[FILES] = os.pathsep.join(dict.fromkeys([*named, str(file)]))
     _offered.cache_clear()
 
@@ -246,8 +246,8 @@ def is_installed(module: str) -> bool:
 
 def imported(reference: str) -> Any:
     """Return the object of ``module:name``, with modules of the working folder."""
-    if (here := os.getcwd()) not in sys.path:
-        sys.path.append(here)
+    if (folder := os.getcwd()) not in sys.path:
+        sys.path.append(folder)
     with foreign(f"{reference}: wanted a module and what it defines, as my_method:Mine"):
         return pkgutil.resolve_name(reference)
 
@@ -269,10 +269,10 @@ def plugin_digest(module: str) -> str:
 
 
 @cache
-def _offered(kind: str, taken: frozenset[str]) -> dict[str, Plugin]:
+def _offered(kind: str, names_in_use: frozenset[str]) -> dict[str, Plugin]:
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
-        if plugin.name in taken or plugin.name in offered:
+        if plugin.name in names_in_use or plugin.name in offered:
             say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is ignored; rename it")
         else:
             offered[plugin.name] = plugin

@@ -37,14 +37,14 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
 def _with_lines(items: Iterable[Item], description: str, total: int | None) -> Iterator[Item]:
     """Yield the items; a line says every minute how far they are, and one at their end how long they took."""
-    begun_s, done, ended = time.monotonic(), 0, threading.Event()
+    begun_s, count, ended = time.monotonic(), 0, threading.Event()
 
     def tell() -> None:
         taken_s = time.monotonic() - begun_s
-        left_s = taken_s / done * (total - done) if done and total and not ended.is_set() else None
+        left_s = taken_s / count * (total - count) if count and total and not ended.is_set() else None
         left = "" if left_s is None else f", about {duration(left_s)} left"
-        of = "" if total is None else f" of {total}"
-        print(f"{description}: {done}{of} in {duration(taken_s)}{left}", file=sys.stderr, flush=True)
+        of_total = "" if total is None else f" of {total}"
+        print(f"{description}: {count}{of_total} in {duration(taken_s)}{left}", file=sys.stderr, flush=True)
 
     def tell_every_minute() -> None:
         while not ended.wait(LINE_EVERY_S):
@@ -54,7 +54,7 @@ def _with_lines(items: Iterable[Item], description: str, total: int | None) -> I
     try:
         for item in items:
             yield item
-            done += 1
+            count += 1
     finally:
         ended.set()
     tell()

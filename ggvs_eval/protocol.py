@@ -245,10 +245,10 @@ class Protocol:
         """Return the protocol with these folds stated, or with none."""
         return dataclasses.replace(self, views=dataclasses.replace(self.views, folds=folds))
 
-    def agrees_with(self, other: "Protocol") -> bool:
+    def agrees_with(self, protocol: "Protocol") -> bool:
         """Return whether one run folder can serve both: they are equal, or one of them leaves its folds open."""
-        same = self.with_folds(()) == other.with_folds(())
-        return same and (not self.views.folds or not other.views.folds or self.views.folds == other.views.folds)
+        is_equal = self.with_folds(()) == protocol.with_folds(())
+        return is_equal and (not self.views.folds or not protocol.views.folds or self.views.folds == protocol.views.folds)
 
     def over(self, n_frames: int) -> "Protocol":
         """Return the protocol over a clip of N instants: all from its first one, if it sets no number."""
@@ -297,11 +297,11 @@ class Protocol:
 
 
 def _values_of(table: Any) -> dict[str, Any]:
-    fields = {each.name: each for each in dataclasses.fields(table)}
+    fields = {attribute.name: attribute for attribute in dataclasses.fields(table)}
     values = {}
-    for name, each in fields.items():
-        other = each.metadata.get("left out with", name)
-        if not each.metadata or getattr(table, other) != fields[other].default:
+    for name, attribute in fields.items():
+        companion = attribute.metadata.get("left out with", name)
+        if not attribute.metadata or getattr(table, companion) != fields[companion].default:
             value = getattr(table, name)
             values[key_of(name)] = _values_of(value) if dataclasses.is_dataclass(value) else _plain(value)
     return values
@@ -352,27 +352,27 @@ def _without_screens(protocol: Protocol, file: str) -> Protocol:
     if gone := [name for name in metrics if name in OF_A_SCREEN]:
         where = "what a viewer sees of METHOD is the row METHOD@screen, in every metric"
         say_once(f"{file}: without {', '.join(gone)}; {where}")
-    kept = tuple(name for name in metrics if name not in OF_A_SCREEN)
-    return dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, metrics=kept))
+    remaining = tuple(name for name in metrics if name not in OF_A_SCREEN)
+    return dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, metrics=remaining))
 
 
-def name_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def name_differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:
     """Return the first differences of two records in words, as ``a.b: 1 and 2``; of lists what one of them has alone."""
-    differing = _differences(one, other)
+    differing = _differences(first, second)
     more = f" and {len(differing) - MOST_DIFFERENCES} more" if len(differing) > MOST_DIFFERENCES else ""
     return "; ".join(differing[:MOST_DIFFERENCES]) + more
 
 
-def _differences(one: Any, other: Any, name: str = "") -> list[str]:
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        keys = dict.fromkeys([*one, *other])
-        return [each for key in keys for each in _differences(one.get(key), other.get(key), f"{name}.{key}".lstrip("."))]
-    if one == other:
+def _differences(first: Any, second: Any, name: str = "") -> list[str]:
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        keys = dict.fromkeys([*first, *second])
+        return [text for key in keys for text in _differences(first.get(key), second.get(key), f"{name}.{key}".lstrip("."))]
+    if first == second:
         return []
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple) and {*map(str, one)} != {*map(str, other)}:
-        alone = [[str(each) for each in these if each not in those] for these, those in ((one, other), (other, one))]
-        one, other = (", ".join(each) or "none" for each in alone)
-    return [f"{name}: {str(one)[:60]} and {str(other)[:60]}"]
+    if isinstance(first, list | tuple) and isinstance(second, list | tuple) and {*map(str, first)} != {*map(str, second)}:
+        alone = [[str(value) for value in side if value not in opposite] for side, opposite in ((first, second), (second, first))]
+        first, second = (", ".join(values) or "none" for values in alone)
+    return [f"{name}: {str(first)[:60]} and {str(second)[:60]}"]
 
 
 def packaged_protocols() -> list[str]:
@@ -389,8 +389,8 @@ def packaged_protocols() -> list[str]:
 def checked_protocol(protocol: Protocol, file: str) -> Protocol:
     """Refuse values of the right type that make no sense, naming the rule and the file."""
     synthesis, measurement, stream = protocol.synthesis, protocol.measurement, protocol.stream
-    times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for each in stream.stated for ms in each.ms)]
-    labels = [] if stream is None else [each.method for each in stream.stated]
+    times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for row in stream.stated for ms in row.ms)]
+    labels = [] if stream is None else [row.method for row in stream.stated]
     views, folded = protocol.views.test, [view for fold in protocol.views.folds for view in fold]
     rules = {
         "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
@@ -409,7 +409,7 @@ def checked_protocol(protocol: Protocol, file: str) -> Protocol:
         "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < (protocol.frames.count or sys.maxsize),
         "stream.depth_ms and stream.stated must have no negative time": min(times_ms, default=0.0) >= 0,
         "stream.stated must name each method once, with a time": len({*labels}) == len(labels)
-        and (stream is None or all(each.ms for each in stream.stated)),
+        and (stream is None or all(row.ms for row in stream.stated)),
     }
     for rule, holds in rules.items():
         if not holds:
@@ -423,7 +423,7 @@ def _is_size(width: int, height: int) -> bool:
 
 def _toml_value(value: Any) -> str:
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{key} = {_toml_value(each)}' for key, each in value.items())} }}"
+        return f"{{ {', '.join(f'{key} = {_toml_value(entry)}' for key, entry in value.items())} }}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     return json.dumps(value)

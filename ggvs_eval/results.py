@@ -111,7 +111,6 @@ class Results:
     place: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a table that lacks a column or its protocol."""
         missing = [name for name in COLUMNS if name not in self.table.columns]
         if missing or "protocol_sha256" not in self.provenance:
             raise ResultsError(f"results lack {', '.join(missing) or 'provenance.protocol_sha256'}; score the run again")
@@ -190,17 +189,17 @@ class Results:
     @property
     def absences(self) -> tuple[Absence, ...]:
         """Values that some methods or views lack while others have them."""
-        return tuple(Absence(*one) for one in self.provenance.get("absent", ()))
+        return tuple(Absence(*row) for row in self.provenance.get("absent", ()))
 
     @property
     def faults(self) -> tuple[Fault, ...]:
         """Faults that the quick checks found in renders."""
-        return tuple(Fault(*one) for one in self.provenance.get("faults", ()))
+        return tuple(Fault(*row) for row in self.provenance.get("faults", ()))
 
     @property
     def spoilt(self) -> dict[str, str]:
         """Methods with a certain fault in their renders -> it, as it follows their name; they are compared with no other."""
-        return {one.label: one.words for one in reversed(self.faults) if one.is_certain}
+        return {fault.label: fault.words for fault in reversed(self.faults) if fault.is_certain}
 
     @property
     def set_aside(self) -> dict[str, str]:
@@ -214,18 +213,19 @@ class Results:
             names: label -> name to show, where these differ.
         """
         views: dict[tuple[str, str], list[Fault]] = {}
-        for one in self.faults:
-            views.setdefault((one.label, one.words), []).append(one)
+        for fault in self.faults:
+            views.setdefault((fault.label, fault.words), []).append(fault)
         return [
-            f"{(names or {}).get(label, label)} {words}{', so it is not ranked' if found[0].is_certain else ''} "
-            f"({found[0].verdict}; {', '.join(one.view for one in found)}: {found[0].measured}). {found[0].remedy}".strip()
-            for (label, words), found in views.items()
+            f"{(names or {}).get(label, label)} {words}{', so it is not ranked' if faults[0].is_certain else ''} "
+            f"({faults[0].verdict}; {', '.join(fault.view for fault in faults)}: {faults[0].measured}). "
+            f"{faults[0].remedy}".strip()
+            for (label, words), faults in views.items()
         ]
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:
         """Return the reason why a method has no value of a metric, in one view or in any; empty if none is recorded."""
-        mine = (one for one in self.absences if (one.metric, one.label) == (metric, label))
-        reasons = (one.reason for one in mine if not view or one.view in ("", view))
+        absences = (absence for absence in self.absences if (absence.metric, absence.label) == (metric, label))
+        reasons = (absence.reason for absence in absences if not view or absence.view in ("", view))
         return next(reasons, self.not_computed.get(metric, ""))
 
     def summary(self) -> "pd.DataFrame":
@@ -253,7 +253,7 @@ class Results:
             names: label -> name to show.
         """
         means = self.summary().droplevel("dataset").round(4).rename_axis(columns=None)
-        labels = [label_of(*each) for each in means.index]
+        labels = [label_of(*key) for key in means.index]
         return means.set_axis([f"{label}{reduced_mark(names.get(label, ''))}" for label in labels]).to_string()
 
     def per_view(self, metric: str) -> "pd.DataFrame":
@@ -278,8 +278,8 @@ RETRAINED = " (retrained, {})"  # behind the title of a method with weights that
 
 def reduced_mark(title: str) -> str:
     """Return what a title says of a reduced model, e.g. `` (retrained, compact)``; empty of other methods."""
-    found = re.search(r" \(retrained, [^)]*\)", title)
-    return found[0] if found else ""
+    match = re.search(r" \(retrained, [^)]*\)", title)
+    return match[0] if match else ""
 
 
 def split_label(label: str) -> tuple[str, str]:
@@ -313,11 +313,11 @@ def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
 
 def installed_versions() -> dict[str, str]:
     """Versions of everything that can move a number."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for name in MOVING_NUMBERS:
         with suppress(metadata.PackageNotFoundError):  # of an extra that is not installed
-            found[name] = metadata.version(name)
-    return found
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def describe_machine() -> dict[str, str]:

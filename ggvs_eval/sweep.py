@@ -80,12 +80,12 @@ class Sweep:
             cameras: of the capture; a K of the sweep that it cannot serve has no variant.
         """
         protocol = protocol if self.stream is None else protocol.streamed(self.stream)
-        own, most = protocol.synthesis.k, cameras - 1
-        k_values = {*self.k, *([own] if not self.k or any(row.only_own_k for row in self.row) else [])}
+        own_k, most = protocol.synthesis.k, cameras - 1
+        k_values = {*self.k, *([own_k] if not self.k or any(row.only_own_k for row in self.row) else [])}
         k_values |= {most} if self.all_cameras else set()
-        if k_values == {own}:
+        if k_values == {own_k}:
             return {protocol.name: protocol}
-        served = sorted(k for k in k_values if k <= most or k == own)
+        served = sorted(k for k in k_values if k <= most or k == own_k)
         return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in served}
 
     def rows(self, variant: Protocol, protocol: Protocol) -> tuple[SweepRow, ...]:

@@ -106,11 +106,11 @@ def multiplied(values: Values, _size: Size) -> Transform:
 
 def _by_tables(words: str, *levels: NDArray[np.floating]) -> Transform:
     """Replace each level by that of a table, and back by that of another, (256, 1 or 3)."""
-    there, back = (np.broadcast_to(round_levels(table), (256, 3)) for table in levels)
+    forward, back = (np.broadcast_to(round_levels(table), (256, 3)) for table in levels)
     channels = np.arange(3)
     return Transform(
         words,
-        apply=lambda image: there[image, channels],
+        apply=lambda image: forward[image, channels],
         inverse=lambda image: back[image, channels],
         is_exact=False,
     )
@@ -137,12 +137,12 @@ def shifted(values: Values, _size: Size) -> Transform:
 
 def _resampling(words: str, scale: Pair, offset_px: Pair, outside_px: Pair) -> Transform:
     """Put pixel x of a frame to scale * x + offset_px."""
-    there = partial(_interpolated, scale=1 / scale, offset_px=-offset_px / scale)
+    forward = partial(_interpolated, scale=1 / scale, offset_px=-offset_px / scale)
     return Transform(
         words,
-        apply=there,
+        apply=forward,
         inverse=partial(_interpolated, scale=scale, offset_px=offset_px),
-        soft=partial(there, interpolation=cv2.INTER_LINEAR),
+        soft=partial(forward, interpolation=cv2.INTER_LINEAR),
         is_exact=False,
         border_px=ceil(np.abs(outside_px).max()) + LANCZOS_REACH_PX,
     )

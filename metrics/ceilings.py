@@ -150,7 +150,7 @@ def _beside(
     """For each instant: (noise-free rendering, second recording), and the first; notes the shares that were averaged."""
     for clean, first, again in zip(recorder.clean(), truth, second, strict=True):
         averaged.append(float(clean.averaged.mean()))
-        yield (round_levels(clean.shown), again), first
+        yield (round_levels(clean.display), again), first
 
 
 def _is_coarse_in_colour(noise: NoiseModel) -> bool:
@@ -178,8 +178,8 @@ class _PerfectRenderings:
         first, second = (NoiseStream(self._noise, random) for random in self._random.spawn(2))
         for frame, clean in clean_frames(frames, self._noise, self._background):
             self._averaged.append(float(clean.averaged.mean()))
-            truth = np.where(clean.averaged, frame, round_levels(clean.shown + clean.strength * first.draw(clean.shown)))
-            yield (round_levels(clean.shown), round_levels(clean.shown + clean.strength * second.draw(clean.shown))), truth
+            truth = np.where(clean.averaged, frame, round_levels(clean.display + clean.strength * first.draw(clean.display)))
+            yield (round_levels(clean.display), round_levels(clean.display + clean.strength * second.draw(clean.display))), truth
 
 
 def _means(scores: ViewScores) -> dict[str, float]:

@@ -191,8 +191,8 @@ class Metric:
     @property
     def modules(self) -> tuple[str, ...]:
         """Names of the modules that define it; what these import, and nothing else, decides its values."""
-        decisive = (each for name, each in vars(self).items() if callable(each) and name != "note")
-        functions = (getattr(each, "func", each) for each in decisive)  # of partials
+        decisive = (value for name, value in vars(self).items() if callable(value) and name != "note")
+        functions = (getattr(function, "func", function) for function in decisive)  # of partials
         return tuple(sorted({function.__module__ for function in functions}))
 
 

@@ -19,8 +19,8 @@ UPLOADED = "uploaded"
 
 def upload_pair(rendered: Image8, truth: TruthFrame, device: str) -> tuple[Tensor, Tensor]:
     """Return a rendered and a captured frame on the device, (H, W, 3) uint8; each is uploaded once for all metrics."""
-    theirs = truth.once((UPLOADED, device), lambda: upload(truth.image, device))
-    return shared_by_parts(rendered, truth, (UPLOADED, device), lambda: upload(rendered, device)), theirs
+    truth_tensor = truth.once((UPLOADED, device), lambda: upload(truth.image, device))
+    return shared_by_parts(rendered, truth, (UPLOADED, device), lambda: upload(rendered, device)), truth_tensor
 
 
 def upload(image: Image8, device: str) -> Tensor:

@@ -54,7 +54,7 @@ def score_path(poses: Iterable[PathPose], metrics: Collection[str] = ()) -> Path
     """
     scorers = dict.fromkeys(metric.scorer for metric in measured_on_path(metrics))
     with tempfile.TemporaryDirectory(prefix="ggvs-path-") as folder:
-        path = RenderedPath(Path(folder) if any(one.wants_images for one in scorers) else None)
+        path = RenderedPath(Path(folder) if any(scorer.wants_images for scorer in scorers) else None)
         for pose in poses:
             path.add(pose)
         if not path.cameras:
@@ -65,8 +65,8 @@ def score_path(poses: Iterable[PathPose], metrics: Collection[str] = ()) -> Path
 def measured_on_path(names: Collection[str]) -> list[PathMetric]:
     """List the metrics of a path that are measured: those that take no time, and of the others those that are named."""
     shipped = [METRICS[name] for name in PATH_METRICS if METRICS.is_present(name)]
-    known = [*shipped, *(METRICS[name] for name in names if name not in PATH_METRICS)]
-    of_paths = [metric for metric in known if isinstance(metric, PathMetric)]
+    candidates = [*shipped, *(METRICS[name] for name in names if name not in PATH_METRICS)]
+    of_paths = [metric for metric in candidates if isinstance(metric, PathMetric)]
     return [metric for metric in of_paths if metric.name in names or not metric.scorer.wants_images]
 
 

@@ -76,24 +76,24 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
         ratio of changes, from which blur cancels; COLMAP and SGC find fewer matches in blurred images.
     """
     selected: dict[str, Metric] = {}
-    asked = list(names)
-    for name in asked:
+    requests = list(names)
+    for name in requests:
         if name in DEPTH_METRICS:
             raise MetricError(f"{name} is of depth videos, a protocol is of frames; measure it by `ggvs-eval steadiness --depth`")
         if name not in METRICS and not METRICS.why_absent(name):
             raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS) or _all_metrics()}")
         selected[name] = METRICS[name]
-        if (beside := METRICS[name].beside) and beside not in asked:
+        if (beside := METRICS[name].beside) and beside not in requests:
             selected[beside] = METRICS[beside]
     return tuple(selected.values())
 
 
 def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     """Select the metrics that score the frames of a view: those asked for per view, and those that others are made of."""
-    asked = select_metrics(names)
-    view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
-    chosen = (METRICS[name] for name in METRICS.known() if name in view_names)
-    return tuple(metric for metric in chosen if isinstance(metric, ViewMetric))
+    selection = select_metrics(names)
+    view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in selection}
+    candidates = (METRICS[name] for name in METRICS.known() if name in view_names)
+    return tuple(metric for metric in candidates if isinstance(metric, ViewMetric))
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:
@@ -105,11 +105,11 @@ def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_m
     together: dict[ScorerFactory, list[str]] = {}
     for metric in metrics:
         together.setdefault(scorer_factory(metric), []).append(metric.name)
-    made = []
+    scorers = []
     for factory, names in together.items():
         make = FOREIGN["scorer"] if METRICS.origins(names) else factory
-        made.append(make(names, options, colour_map))
-    return made
+        scorers.append(make(names, options, colour_map))
+    return scorers
 
 
 def scorer_factory(metric: ViewMetric) -> ScorerFactory:

@@ -71,7 +71,7 @@ def mean_values(scores: ViewScores) -> dict[str, float]:
     values: dict[str, list[float]] = {}
     for name, _, value in scores.values:
         values.setdefault(name, []).append(value)
-    return {name: sum(each) / len(each) for name, each in values.items()}
+    return {name: sum(series) / len(series) for name, series in values.items()}
 
 
 def _score(frames: Iterable[Any], static: Mask | None, metrics: Mapping[str, Series]) -> ViewScores:

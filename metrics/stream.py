@@ -80,7 +80,7 @@ def score_views(
         MetricError: an unknown metric, no frames, frames that do not fit each other, or no colour maps where they are needed.
     """
     options = options or MetricOptions()
-    asked, streamed = select_metrics(metrics), scored_by_view(metrics)
+    selection, streamed = select_metrics(metrics), scored_by_view(metrics)
     corrected = [metric.name for metric in streamed if metric.corrects_colours]
     if options.colour_scope == "view" and colour_maps is None and corrected:
         raise MetricError(f"{', '.join(corrected)}: colours are corrected per view; fit the maps first")
@@ -99,14 +99,16 @@ def score_views(
         previous = image
         for i, rendered in enumerate(renderings):
             check_pair(rendered, image)
-            scorers[i] = [one for one in scorers[i] if _attempt(one, partial(one.add, index, rendered, truth), scores[i])]
+            scorers[i] = [
+                scorer for scorer in scorers[i] if _attempt(scorer, partial(scorer.add, index, rendered, truth), scores[i])
+            ]
     if previous is None:
         raise MetricError("no frames to score; render this view first")
     for remaining, view_scores in zip(scorers, scores, strict=True):
         for scorer in remaining:
             _attempt(scorer, scorer.finish, view_scores)
-    hidden = {metric.name for metric in streamed} - {metric.name for metric in asked}
-    return [_with_derived(view_scores, asked, hidden, options) for view_scores in scores]
+    hidden = {metric.name for metric in streamed} - {metric.name for metric in selection}
+    return [_with_derived(view_scores, selection, hidden, options) for view_scores in scores]
 
 
 def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[ColourMap]:
@@ -118,23 +120,23 @@ def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[C
     moments: list[ColourMoments] = []
     for renderings, image in frames:
         moments = moments or [ColourMoments() for _ in renderings]
-        for one, rendered in zip(moments, renderings, strict=True):
-            one.add(rendered, image)
+        for colour_moments, rendered in zip(moments, renderings, strict=True):
+            colour_moments.add(rendered, image)
     if not moments:
         raise MetricError("no frames to fit colours to; render this view first")
-    return [one.map() for one in moments]
+    return [colour_moments.map() for colour_moments in moments]
 
 
-def _with_derived(scores: ViewScores, asked: Sequence[Metric], hidden: Collection[str], options: MetricOptions) -> ViewScores:
+def _with_derived(scores: ViewScores, selection: Sequence[Metric], hidden: Collection[str], options: MetricOptions) -> ViewScores:
     """Return the scores with what one view's other values decide, and without what was measured for that alone."""
     values: dict[str, dict[str, dict[int, float]]] = {}
     for name, frame, value in scores.values:
         if frame is not None:
             values.setdefault(name, {"": {}})[""][frame] = value
-    rows, reasons = derived_rows([metric for metric in asked if metric.kind == "view"], values, options)
-    own = [one for one in scores.values if one[0] not in hidden]
-    own += [(name, None, value) for name, of_view in rows.items() for _, _, value in of_view]
-    return ViewScores(own, {name: reason for name, reason in (scores.not_computed | reasons).items() if name not in hidden})
+    rows, reasons = derived_rows([metric for metric in selection if metric.kind == "view"], values, options)
+    cells = [score for score in scores.values if score[0] not in hidden]
+    cells += [(name, None, value) for name, of_view in rows.items() for _, _, value in of_view]
+    return ViewScores(cells, {name: reason for name, reason in (scores.not_computed | reasons).items() if name not in hidden})
 
 
 def _attempt(scorer: Scorer, measure: Callable[[], list[Value]], scores: ViewScores) -> bool:

@@ -122,7 +122,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 @contextmanager
 def absent_unless_made(folder: Path) -> Iterator[None]:
     """Remove a folder, and empty ones above it, absent before a block that fails; a stop by the user removes nothing."""
-    absent = [each for each in (folder, *folder.parents) if not each.exists()]
+    absent = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         yield
     except Exception:

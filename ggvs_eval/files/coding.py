@@ -81,7 +81,9 @@ def read_coding(path: Path, frames: range) -> Coding:
             notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]
             pixels = frame.format.name
             container.seek(0)
-            packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
+            packets = sorted(
+                (packet.pts, packet.size, packet.is_keyframe) for packet in container.demux(video=0) if packet.pts is not None
+            )
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
     printed = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
@@ -90,8 +92,8 @@ def read_coding(path: Path, frames: range) -> Coding:
         return Coding(size, unknown="coded without a rate factor" if printed else "coded by another encoder than x264")
     if pixels not in PIXEL_FORMATS:
         return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
-    measured = packets[frames.start : frames.stop]
-    differences = tuple(n_bytes for _, n_bytes, is_key in measured if not is_key) or tuple(packet[1] for packet in measured)
+    clip = packets[frames.start : frames.stop]
+    differences = tuple(n_bytes for _, n_bytes, is_key in clip if not is_key) or tuple(packet[1] for packet in clip)
     return Coding(size, float(factor[1] or 0), _settings(printed), differences)
 
 

@@ -26,9 +26,9 @@ class Sightings(NamedTuple):
     uv: Array
     rgb: Image8
 
-    def rows(self, chosen: NDArray[np.bool_]) -> "Sightings":
+    def rows(self, mask: NDArray[np.bool_]) -> "Sightings":
         """Some of the sightings."""
-        return Sightings(self.point[chosen], self.uv[chosen], self.rgb[chosen])
+        return Sightings(self.point[mask], self.uv[mask], self.rgb[mask])
 
 
 def write_model(folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> None:

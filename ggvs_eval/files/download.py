@@ -42,8 +42,8 @@ class DownloadError(GgvsError):
 
 def cache_folder() -> Path:
     """Return the folder of downloads: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
-    if own := os.environ.get("GGVS_EVAL_CACHE"):
-        return Path(own)
+    if folder := os.environ.get("GGVS_EVAL_CACHE"):
+        return Path(folder)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
 
 
@@ -119,11 +119,11 @@ def _chunks(answer: IO[bytes]) -> Iterator[bytes]:
         yield chunk
 
 
-def _require_secure(asked: str, answered: str) -> None:
+def _require_secure(request_url: str, answer_url: str) -> None:
     """Refuse a redirection of an https address to a protocol that does not protect what is sent."""
-    there = urlsplit(answered)
-    if there.scheme != "https" and (urlsplit(asked).scheme == "https" or there.hostname not in LOOPBACK):
-        raise ValueError(f"an answer over {there.scheme} from {there.hostname}, which is not secure")
+    answer = urlsplit(answer_url)
+    if answer.scheme != "https" and (urlsplit(request_url).scheme == "https" or answer.hostname not in LOOPBACK):
+        raise ValueError(f"an answer over {answer.scheme} from {answer.hostname}, which is not secure")
 
 
 def _unreached(url: str, file: Path, reason: str) -> DownloadError:

@@ -45,14 +45,14 @@ def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES, d
 
     Links to folders are followed, each folder once, so that circles end.
     """
-    found, seen = [], {folder.resolve()}
+    files, real_folders = [], {folder.resolve()}
     for place, folders, names in os.walk(folder, followlinks=True):
         inner = {name: Path(place, name).resolve() for name in sorted(folders) if not is_junk(name)}
         is_deep = len(Path(place).relative_to(folder).parts) >= deepest
-        folders[:] = [name for name, real in inner.items() if real not in seen and not is_deep]
-        seen.update(inner.values())
-        found += [Path(place, name) for name in names if not is_junk(name) and Path(name).suffix.lower() in suffixes]
-    return sorted(found)
+        folders[:] = [name for name, real in inner.items() if real not in real_folders and not is_deep]
+        real_folders.update(inner.values())
+        files += [Path(place, name) for name in names if not is_junk(name) and Path(name).suffix.lower() in suffixes]
+    return sorted(files)
 
 
 def same_name(name: str) -> str:
@@ -88,8 +88,8 @@ def unread_pictures(folder: Path) -> str:
 
 def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
     """Videos in a folder that are not read, of these stems or any, and the command that converts them; empty without."""
-    wanted = set(map(same_name, stems))
-    files = [file for file in list_files(folder, UNREAD_VIDEOS) if not wanted or same_name(file.stem) in wanted]
+    spellings = set(map(same_name, stems))
+    files = [file for file in list_files(folder, UNREAD_VIDEOS) if not spellings or same_name(file.stem) in spellings]
     if not files:
         return ""
     names = ", ".join(file.name for file in files[:LISTED]) + (", ..." if len(files) > LISTED else "")

@@ -107,14 +107,14 @@ def _ranks(keys: Sequence[Any]) -> list[int]:
 
 
 def _last_numbers(stems: Sequence[str]) -> list[Number | None]:
-    found = [match and match.groups() for match in map(LAST.fullmatch, stems)]
-    fields: list[Number | None] = [int(last) if (last := each and each[2]) else None for each in found]
-    numbers = [_value(*each[1:]) if each else None for each in found]
-    before = {(prefix, whole) for prefix, whole, _ in filter(None, found)}
-    if len(before) > 1:
+    groups = [match and match.groups() for match in map(LAST.fullmatch, stems)]
+    fields: list[Number | None] = [int(last) if (last := group and group[2]) else None for group in groups]
+    numbers = [_value(*group[1:]) if group else None for group in groups]
+    prefixes = {(prefix, integer) for prefix, integer, _ in filter(None, groups)}
+    if len(prefixes) > 1:
         return numbers
     if _order(fields) == _order(numbers) and len(set(numbers)) == len(set(fields)):
-        are_seconds = all(whole and int(whole) >= STAMP_FROM for _, whole in before)
+        are_seconds = all(integer and int(integer) >= STAMP_FROM for _, integer in prefixes)
         return numbers if are_seconds else fields
     if _are_even(fields) == _are_even(numbers):
         raise ValueError(f"{stems[0]}, whose last digits may count or be the fraction of a number: write as many in all names")
@@ -147,8 +147,8 @@ def camera_names(image_names: Sequence[str]) -> list[str]:
     return unlike or [path.parent.name or path.stem for path in paths]
 
 
-def _value(whole: str | None, last: str) -> Number:
-    number = Decimal(f"{whole}.{last}" if whole else last)
+def _value(integer: str | None, last: str) -> Number:
+    number = Decimal(f"{integer}.{last}" if integer else last)
     return int(number) if number == int(number) else number
 
 

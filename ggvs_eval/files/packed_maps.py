@@ -17,7 +17,7 @@ DTYPES = {"float32": np.float32, "uint8": np.uint8}
 
 def write_packed(file: BinaryIO, maps: Mapping[str, NDArray[np.generic]]) -> None:
     """Write maps (H, W), float32 or uint8; a member is called ``<name>.<dtype>.zstd``, next to their ``size``."""
-    members = {f"{name}.{each.dtype.name}{SUFFIX}": _pack(each) for name, each in maps.items()}
+    members = {f"{name}.{array.dtype.name}{SUFFIX}": _pack(array) for name, array in maps.items()}
     size = np.array(next(iter(maps.values())).shape, np.int64)
     np.savez(file, allow_pickle=False, **{SIZE: size}, **members)
 

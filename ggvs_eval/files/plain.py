@@ -26,12 +26,12 @@ _watched: list[set[str]] = []
 @contextmanager
 def watch_reads() -> Iterator[set[str]]:
     """Collect the absolute paths of the files that are looked at inside."""
-    seen: set[str] = set()
-    _watched.append(seen)
+    paths: set[str] = set()
+    _watched.append(paths)
     try:
-        yield seen
+        yield paths
     finally:
-        _watched.remove(seen)
+        _watched.remove(paths)
 
 
 class NotPlainError(OSError):
@@ -52,8 +52,8 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         NotPlainError: no regular file, or a larger one.
         OSError: no such file, or no permission.
     """
-    for seen in _watched:
-        seen.add(os.path.abspath(path))
+    for paths in _watched:
+        paths.add(os.path.abspath(path))
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")

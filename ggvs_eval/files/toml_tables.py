@@ -95,9 +95,9 @@ def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list
     required = [name for name, field in fields.items() if (field.default, field.default_factory) == defaults]
     if missing := [f"{section}{name}" for name in required if name not in values]:
         faults.append(f"missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
-    known = {key: value for key, value in values.items() if key in fields}
+    entries = {key: value for key, value in values.items() if key in fields}
     converted = {
-        fields[key].name: _convert(hints[fields[key].name], value, f"{section}{key}", faults) for key, value in known.items()
+        fields[key].name: _convert(hints[fields[key].name], value, f"{section}{key}", faults) for key, value in entries.items()
     }
     return typing.cast(Table, None) if faults else kind(**converted)
 
@@ -105,7 +105,7 @@ def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list
 def _convert(field_type: Any, value: Any, key: str, faults: list[str]) -> Any:
     origin, arguments = typing.get_origin(field_type), typing.get_args(field_type)
     if origin in (types.UnionType, typing.Union):
-        field_type = next(each for each in arguments if each is not types.NoneType)
+        field_type = next(argument for argument in arguments if argument is not types.NoneType)
         return _convert(field_type, value, key, faults)
     if dataclasses.is_dataclass(field_type) and isinstance(value, dict):
         return _table(typing.cast(type, field_type), value, f"{key}.", faults)

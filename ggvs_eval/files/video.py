@@ -139,8 +139,8 @@ class VideoHeader(NamedTuple):
         conversions: changes by reading frames as 8-bit RGB.
         transfer: see `VideoFrames.transfer`.
         turn_deg: angle by which the first frame is to be turned against the clock, where that is no right one.
-        shown: of the columns and rows as they are stored, where they go as they are shown: signs of the matrix (column by column,
-            column by row, row by column, row by row) that the file states, which can mirror too.
+        orientation: of the columns and rows as they are stored, where they go as they are shown: signs of the matrix (column
+            by column, column by row, row by column, row by row) that the file states, which can mirror too.
     """
 
     n_frames: int
@@ -154,7 +154,7 @@ class VideoHeader(NamedTuple):
     transfer: str
     interlaced: bool
     turn_deg: int = 0
-    shown: tuple[int, ...] = (1, 0, 0, 1)
+    orientation: tuple[int, ...] = (1, 0, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -355,7 +355,7 @@ class VideoFrames:
         matrix[np.abs(matrix) < LEAST_ENTRY * np.abs(matrix).max()] = 0
         if np.count_nonzero(matrix) != 2:
             return header._replace(turn_deg=first.rotation)
-        return header._replace(shown=tuple(np.sign(matrix).astype(int).ravel().tolist()))
+        return header._replace(orientation=tuple(np.sign(matrix).astype(int).ravel().tolist()))
 
     @property
     def _shown_as(self) -> tuple[int, ...]:
@@ -363,7 +363,7 @@ class VideoFrames:
         if self._header.turn_deg:
             expected = "frames that are shown upright or turned by right angles"
             raise CaptureError(f"{self.path}: wanted {expected}, got {self._header.turn_deg} degrees; {MEND} without a turn")
-        return self._header.shown
+        return self._header.orientation
 
     def _oriented(self, image: Image8) -> Image8:
         """Return a frame as it is shown: turned and mirrored as ffmpeg does."""

@@ -15,7 +15,7 @@ CONFIGURATION_NOTE = "configuration"  # in the header of safetensors: which of a
 PARALLEL_PREFIX = "module."  # torch's DataParallel puts it before every name
 
 
-def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Tensor]:
+def read_tensors(path: Path, *keys: str, model: str = "a network") -> dict[str, Tensor]:
     """Return the tensors of a weights file by name.
 
     Args:
@@ -30,16 +30,16 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     """
     if path.suffix == ".safetensors":
         prefix = "".join(f"{key}." for key in keys)
-        stored = _safetensors(path, of)
+        stored = _safetensors(path, model)
         tensors = {name.removeprefix(prefix): tensor for name, tensor in stored.items() if name.startswith(prefix)}
     else:
-        tensors = _state_dict(_checkpoint(path, of), keys, path)
+        tensors = _state_dict(_checkpoint(path, model), keys, path)
     if not tensors:
-        raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {of}")
+        raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {model}")
     return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in tensors.items()}
 
 
-def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
+def configuration_of(path: Path, names: Collection[str], model: str) -> str | None:
     """Return the configuration recorded in a weights file.
 
     Returns:
@@ -47,7 +47,7 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
     """
     name = read_notes(path).get(CONFIGURATION_NOTE)
     if name is not None and name not in names:
-        raise WeightsError(f"{path}: wanted a configuration of {of} ({', '.join(names)}), got {name}; train it again")
+        raise WeightsError(f"{path}: wanted a configuration of {model} ({', '.join(names)}), got {name}; train it again")
     return name
 
 
@@ -62,17 +62,17 @@ def read_notes(path: Path) -> dict[str, str]:
         raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
 
 
-def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
+def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, model: str) -> None:
     """Give a network tensors that are its own by name and shape, every one of them.
 
     Args:
         tensors: what `read_tensors` found; half precision is widened.
     """
-    require_shapes(tensors, network, path, of)
+    require_shapes(tensors, network, path, model)
     network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
 
 
-def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
+def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, model: str) -> None:
     """Refuse tensors that are not a network's own by name and shape, every one of them.
 
     Args:
@@ -85,36 +85,35 @@ def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path
     if different:
         name = different[0]
         raise WeightsError(
-            f"{path}: {len(different)} tensors differ from {of}, first {name}: "
-            f"wanted {own_shapes.get(name)}, got {shapes.get(name)}; give weights of {of}"
+            f"{path}: {len(different)} tensors differ from {model}, first {name}: "
+            f"wanted {own_shapes.get(name)}, got {shapes.get(name)}; give weights of {model}"
         )
 
 
-def _safetensors(path: Path, of: str) -> dict[str, Tensor]:
+def _safetensors(path: Path, model: str) -> dict[str, Tensor]:
     try:
         return load_file(path)
     except OSError as error:
-        raise _unreadable(path, of, error) from error
+        raise _unreadable(path, model, error) from error
     except SafetensorError as error:
         raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
 
 
-def _checkpoint(path: Path, of: str) -> Any:
+def _checkpoint(path: Path, model: str) -> Any:
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
-        raise _unreadable(path, of, error) from error
+        raise _unreadable(path, model, error) from error
     except Exception as error:  # a damaged pickle makes torch stumble anywhere: IndexError, AssertionError, struct.error, ...
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise WeightsError(f"{path}: wanted a file of tensors only, got {reason}; give a checkpoint with a state dict") from error
 
 
-def _unreadable(path: Path, of: str, error: OSError) -> WeightsError:
-    return WeightsError(f"{path}: wanted weights of {of}, got no readable file ({error.strerror or error})")
+def _unreadable(path: Path, model: str, error: OSError) -> WeightsError:
+    return WeightsError(f"{path}: wanted weights of {model}, got no readable file ({error.strerror or error})")
 
 
 def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Tensor]:
-    """Return the state dict under the keys; refuse anything else."""
     for key in keys:
         if not isinstance(values, Mapping) or key not in values:
             content = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__

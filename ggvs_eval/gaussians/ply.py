@@ -44,10 +44,10 @@ def decompressed(chunks: NDArray[np.void], packed: NDArray[np.void], sh: NDArray
         and opacity 8 bits each, colours between bounds too where the chunk has them. A quaternion names the largest of its four
         parts (w first) in 2 bits, and the others in 10 bits each, of +-sqrt(1/2).
     """
-    of = np.arange(len(packed)) // CHUNK_SIZE
+    chunk = np.arange(len(packed)) // CHUNK_SIZE
 
     def between(steps: Array, kind: str, axes: str) -> Array:
-        low, high = (np.stack([chunks[f"{end}_{kind}{axis}"][of] for axis in axes], axis=1) for end in ("min", "max"))
+        low, high = (np.stack([chunks[f"{end}_{kind}{axis}"][chunk] for axis in axes], axis=1) for end in ("min", "max"))
         return np.asarray(low + steps * (high.astype(np.float64) - low))
 
     position, turn, scale, colour = (packed[name].astype(np.uint32) for name in PACKED)
@@ -77,12 +77,12 @@ def _parts(words: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
 
 def _quaternions(words: NDArray[np.uint32]) -> Array:
     """Return the unit quaternions, w first, (N, 4)."""
-    others = (_parts(words & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
-    largest = np.sqrt(np.maximum(1 - np.square(others).sum(axis=1), 0))
+    components = (_parts(words & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
+    largest = np.sqrt(np.maximum(1 - np.square(components).sum(axis=1), 0))
     quaternions = np.empty((len(words), 4))
     for part in range(4):
-        chosen = words >> 30 == part
-        quaternions[chosen] = np.insert(others[chosen], part, largest[chosen], axis=1)
+        rows = words >> 30 == part
+        quaternions[rows] = np.insert(components[rows], part, largest[rows], axis=1)
     return quaternions
 
 
@@ -135,18 +135,18 @@ def read_ply(path: Path) -> GaussianCloud:
         with path.open("rb") as file:
             elements, comments = _read_header(file, path)
             is_compressed = elements[0].name == COMPRESSED[0]
-            wanted = elements if is_compressed else elements[:1]
-            head, count = file.tell(), max(each.n_rows for each in wanted)
-            n_bytes = sum(each.n_rows * each.row.itemsize for each in wanted)
+            vertex_elements = elements if is_compressed else elements[:1]
+            head, count = file.tell(), max(element.n_rows for element in vertex_elements)
+            n_bytes = sum(element.n_rows * element.row.itemsize for element in vertex_elements)
             if count > MOST_GAUSSIANS or head + n_bytes > size:
                 raise RenderError(
                     f"{path}: its header says {count} Gaussians in {n_bytes} bytes, the file has {max(size - head, 0)} "
                     f"for them (at most {MOST_GAUSSIANS} Gaussians are supported); copy or save it again"
                 )
-            tables = [np.fromfile(file, each.row, each.n_rows) for each in wanted]
+            tables = [np.fromfile(file, element.row, element.n_rows) for element in vertex_elements]
     except OSError as error:
         raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), got an unreadable file: {why_unread(error)}") from error
-    if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
+    if any(len(table) < element.n_rows for table, element in zip(tables, vertex_elements, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
     cloud = _cloud(decompressed(*tables) if is_compressed else tables[0], path)
     return antialiased(cloud) if any(map(ANTIALIASED.search, comments)) else cloud
@@ -156,9 +156,9 @@ def header_notes(path: Path) -> list[str]:
     """Return what a cloud's header says of its drawing, and which properties and settings in it are passed over."""
     with path.open("rb") as file:
         elements, comments = _read_header(file, path)
-    names = next(each for each in elements if each.name == "vertex").row.names or ()
-    known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
-    unknown = [name for name in names if name not in known and not name.startswith("f_rest_")]
+    names = next(element for element in elements if element.name == "vertex").row.names or ()
+    known_names = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
+    unknown = [name for name in names if name not in known_names and not name.startswith("f_rest_")]
     notes = [NORMALISED_NOTE] if any("nerfstudio" in comment.lower() for comment in comments) else []
     notes += [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
     for comment in comments:
@@ -177,9 +177,9 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     """
     parts = [tensor.detach().to("cpu", torch.float32).numpy() for tensor in cloud.parameters().values()]
     means, log_scales, quaternions, logits, sh = parts
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(cloud), 3 * (sh.shape[1] - 1))  # channel after channel
-    names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
-    table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
+    harmonics = sh[:, 1:].transpose(0, 2, 1).reshape(len(cloud), 3 * (sh.shape[1] - 1))  # channel after channel
+    names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(harmonics.shape[1])), "opacity", *SCALES, *TURNS]
+    table = np.concatenate([means, np.zeros_like(means), sh[:, 0], harmonics, logits[:, None], log_scales, quaternions], axis=1)
     properties = "".join(f"property float {name}\n" for name in names)
     comment = f"comment {ANTIALIASED_COMMENT}\n" if isinstance(cloud, AntialiasedCloud) else ""
     header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(cloud)}\n{properties}end_header\n"
@@ -282,10 +282,12 @@ def _require_properties(names: list[str], path: Path) -> None:
             f"{path}: wanted a cloud of Gaussians with {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
             f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
         )
-    rest = sum(name.startswith("f_rest_") for name in names)
+    n_harmonics = sum(name.startswith("f_rest_") for name in names)
     counts = [3 * ((degree + 1) ** 2 - 1) for degree in range(HIGHEST_DEGREE + 1)]
-    if rest not in counts or any(f"f_rest_{n}" not in names for n in range(rest)):
-        raise RenderError(f"{path}: wanted f_rest_0 to f_rest_N of {', '.join(map(str, counts))} in all, got {rest}; {MEND}")
+    if n_harmonics not in counts or any(f"f_rest_{n}" not in names for n in range(n_harmonics)):
+        raise RenderError(
+            f"{path}: wanted f_rest_0 to f_rest_N of {', '.join(map(str, counts))} in all, got {n_harmonics}; {MEND}"
+        )
 
 
 def _cloud(table: NDArray[np.void], path: Path) -> GaussianCloud:
@@ -301,7 +303,9 @@ def _cloud(table: NDArray[np.void], path: Path) -> GaussianCloud:
         return values.astype(np.float32)
 
     names = table.dtype.names or ()
-    rest = columns(*(f"f_rest_{n}" for n in range(sum(name.startswith("f_rest_") for name in names))))
-    sh = np.concatenate([columns(*COLOURS)[:, None], rest.reshape(len(table), 3, rest.shape[1] // 3).transpose(0, 2, 1)], axis=1)
+    harmonics = columns(*(f"f_rest_{n}" for n in range(sum(name.startswith("f_rest_") for name in names))))
+    sh = np.concatenate(
+        [columns(*COLOURS)[:, None], harmonics.reshape(len(table), 3, harmonics.shape[1] // 3).transpose(0, 2, 1)], axis=1
+    )
     parts = (columns(*MEANS), columns(*SCALES), columns(*TURNS), columns("opacity")[:, 0], sh)
     return GaussianCloud(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))

@@ -128,8 +128,8 @@ class _Splat(torch.autograd.Function):
         tensors = ctx.saved_tensors
         by_colour, by_transmittance, by_depth = (gradient.contiguous().numpy() for gradient in by_pictures[:3])
         gradients = _gaussians.gradients(ctx.frame, _arrays(tensors), by_colour, by_transmittance, by_depth, *_settings())
-        needed = ctx.needs_input_grad[2:]
-        return None, None, *(torch.from_numpy(each) if asked else None for each, asked in zip(gradients, needed, strict=True))
+        pairs = zip(gradients, ctx.needs_input_grad[2:], strict=True)
+        return None, None, *(torch.from_numpy(gradient) if is_needed else None for gradient, is_needed in pairs)
 
 
 def _arrays(tensors: tuple[torch.Tensor | None, ...]) -> tuple[np.ndarray | None, ...]:

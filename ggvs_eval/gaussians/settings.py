@@ -83,8 +83,8 @@ def find_settings(cloud: Path, root: Path) -> SplatSettings:
     while OUTPUT_FOLDERS.fullmatch(folders[-1].name) or root in folders[-1].parents:
         folders.append(folders[-1].parent)
     effects: dict[Effect, Path] = {}
-    found = [(folder / name, pattern, effect) for folder in folders for name, pattern, effect in SETTINGS]
-    for file, pattern, effect in found:
+    candidates = [(folder / name, pattern, effect) for folder in folders for name, pattern, effect in SETTINGS]
+    for file, pattern, effect in candidates:
         if re.search(pattern, _text(file)):
             effects.setdefault(effect, file)
     worlds = [folder / WORLD_FILE for folder in folders if (folder / WORLD_FILE).is_file()]
@@ -102,8 +102,8 @@ def moved_cloud(cloud: GaussianCloud, similarity: np.ndarray) -> GaussianCloud:
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     rotation = torch.from_numpy(similarity[:3, :3] / scale)
     means = cloud.means.double() @ (scale * rotation).T + torch.from_numpy(similarity[:3, 3])
-    own = Rotation.from_quat(np.roll(cloud.quaternions.double().numpy(), -1, axis=1))  # w last
-    turned = np.roll((Rotation.from_matrix(rotation.numpy()) * own).as_quat(), 1, axis=1)
+    rotations = Rotation.from_quat(np.roll(cloud.quaternions.double().numpy(), -1, axis=1))  # w last
+    turned = np.roll((Rotation.from_matrix(rotation.numpy()) * rotations).as_quat(), 1, axis=1)
     return replace(
         cloud,
         means=means.to(cloud.means.dtype),

@@ -173,13 +173,13 @@ def splat(
     shape = torch.cat(
         [centres, ellipses.conics, ellipses.opacities[:, None], ellipses.colours, ellipses.depths[:, None]], -1
     )  # (N, 10)
-    chosen, blended = [], []
+    groups, blended = [], []
     for group, lists in _groups(numbers, starts):
-        chosen.append(group)
+        groups.append(group)
         blended.append(checkpoint(_blend, shape, lists, group, across, use_reentrant=False))
     tiles = tiles + shape[:0].sum()  # gradients are 0, not absent, where nothing is visible
-    if chosen:
-        tiles = tiles.index_copy(0, torch.cat(chosen), torch.cat(blended))
+    if groups:
+        tiles = tiles.index_copy(0, torch.cat(groups), torch.cat(blended))
     picture = tiles.reshape(down, across, TILE, TILE, 5).transpose(1, 2).reshape(down * TILE, across * TILE, 5)
     picture = picture[: camera.height, : camera.width]
     return picture[..., :3], picture[..., 4], picture[..., 3], ellipses.radii

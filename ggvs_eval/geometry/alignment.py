@@ -66,28 +66,28 @@ def rig_extent(cameras: Mapping[str, Camera]) -> float:
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
 
 
-def pose_differences(estimated: Mapping[str, Camera], given: Mapping[str, Camera]) -> tuple[Array, Array]:
-    """Measure the pose errors of estimated cameras against given ones, after aligning the centres by a similarity.
+def pose_differences(estimated: Mapping[str, Camera], reference: Mapping[str, Camera]) -> tuple[Array, Array]:
+    """Measure the pose errors of estimated cameras against reference ones, after aligning the centres by a similarity.
 
     Args:
         estimated: cameras by name, in any world.
-        given: cameras by name; those that are in both are compared, in the order of `estimated`.
+        reference: cameras by name; those that are in both are compared, in the order of `estimated`.
 
     Returns:
-        Distances of centres in units of `given` (N,), and angles between orientations in radians (N,).
+        Distances of centres in units of `reference` (N,), and angles between orientations in radians (N,).
 
     Raises:
         CameraError: fewer than 3 common cameras, or all on a line.
     """
-    names = [name for name in estimated if name in given]
+    names = [name for name in estimated if name in reference]
     if len(names) < 3:
         raise CameraError(f"alignment: wanted 3 or more common cameras, got {', '.join(names) or 'none'}; compare the same rig")
     similarity = align_similarity(
-        np.array([estimated[name].centre for name in names]), np.array([given[name].centre for name in names])
+        np.array([estimated[name].centre for name in names]), np.array([reference[name].centre for name in names])
     )
     centres = similarity.apply(np.array([estimated[name].centre for name in names]))
-    distances = np.linalg.norm(centres - [given[name].centre for name in names], axis=1)
-    turns = [given[name].rotation @ similarity.rotation @ estimated[name].rotation.T for name in names]
+    distances = np.linalg.norm(centres - [reference[name].centre for name in names], axis=1)
+    turns = [reference[name].rotation @ similarity.rotation @ estimated[name].rotation.T for name in names]
     return distances, np.array([_angle_rad(turn) for turn in turns])
 
 

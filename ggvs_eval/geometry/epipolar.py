@@ -110,25 +110,29 @@ class MatchedPair:
         return self.first, self.uv_second, self.uv_first
 
 
-def match_pair(first: int, second: int, one: Features, other: Features, longest_side_px: int) -> MatchedPair | None:
+def match_pair(
+    first: int, second: int, features_first: Features, features_second: Features, longest_side_px: int
+) -> MatchedPair | None:
     """Match two images; None where too few matches agree with each other to say anything.
 
     Args:
         first: index of the first camera.
         second: index of the second.
-        one: features of the first image.
-        other: features of the second.
+        features_first: features of the first image.
+        features_second: features of the second.
         longest_side_px: of the images.
     """
-    matches = match_features(one, other)
+    matches = match_features(features_first, features_second)
     if len(matches) < FEWEST_MATCHES:
         return None
-    uv_first, uv_second = one.uv[matches[:, 0]], other.uv[matches[:, 1]]
-    kept = consistent(uv_first, uv_second, CONSISTENT_PX * max(1.0, longest_side_px / LONGEST_SIDE_PX))
-    if kept.sum() < max(FEWEST_MATCHES, SMALLEST_SHARE * len(matches)):
+    uv_first, uv_second = features_first.uv[matches[:, 0]], features_second.uv[matches[:, 1]]
+    mask = consistent(uv_first, uv_second, CONSISTENT_PX * max(1.0, longest_side_px / LONGEST_SIDE_PX))
+    if mask.sum() < max(FEWEST_MATCHES, SMALLEST_SHARE * len(matches)):
         return None
-    rows = matches[kept]
-    return MatchedPair(first, second, uv_first[kept], uv_second[kept], one.colours[rows[:, 0]], other.colours[rows[:, 1]])
+    rows = matches[mask]
+    return MatchedPair(
+        first, second, uv_first[mask], uv_second[mask], features_first.colours[rows[:, 0]], features_second.colours[rows[:, 1]]
+    )
 
 
 def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArray[np.bool_]:
@@ -142,7 +146,7 @@ def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArra
     return np.asarray(inliers).ravel() > 0
 
 
-def epipolar_errors(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> Array:
+def epipolar_errors(first: Camera, second: Camera, uv_first: Array, uv_second: Array) -> Array:
     """Return the distance of matched points from each other's epipolar lines under a calibration, pixels, (M,).
 
     Root of the mean square of the distances in both images.
@@ -156,34 +160,35 @@ def epipolar_errors(one: Camera, other: Camera, uv_one: Array, uv_other: Array) 
         >>> epipolar_errors(left, right, uv_left, uv_right).round(6).tolist()  # the second match misses its row by a pixel
         [0.0, 1.0]
     """
-    points_one, points_other = _homogeneous(uv_one), _homogeneous(uv_other)
-    lines_other = points_one @ fundamental_matrix(one, other).T  # (M, 3), in the other image
-    lines_one = points_other @ fundamental_matrix(one, other)
-    residual = np.einsum("mi,mi->m", points_other, lines_other)
-    squared_one, squared_other = (np.maximum((lines[:, :2] ** 2).sum(axis=1), 1e-30) for lines in (lines_one, lines_other))
-    return np.asarray(np.abs(residual) * np.sqrt((1 / squared_one + 1 / squared_other) / 2))
+    points_first, points_second = _homogeneous(uv_first), _homogeneous(uv_second)
+    lines_second = points_first @ fundamental_matrix(first, second).T  # (M, 3), in the other image
+    lines_first = points_second @ fundamental_matrix(first, second)
+    residual = np.einsum("mi,mi->m", points_second, lines_second)
+    squared_first, squared_second = (np.maximum((lines[:, :2] ** 2).sum(axis=1), 1e-30) for lines in (lines_first, lines_second))
+    return np.asarray(np.abs(residual) * np.sqrt((1 / squared_first + 1 / squared_second) / 2))
 
 
-def fundamental_matrix(one: Camera, other: Camera) -> Array:
-    """F with other^T F one = 0 for the homogeneous pixels of a point in both images, (3, 3)."""
-    rotation = other.rotation @ one.rotation.T
-    shift = other.translation - rotation @ one.translation
+def fundamental_matrix(first: Camera, second: Camera) -> Array:
+    """F with second^T F first = 0 for the homogeneous pixels of a point in both images, (3, 3)."""
+    rotation = second.rotation @ first.rotation.T
+    shift = second.translation - rotation @ first.translation
     across = np.array([[0, -shift[2], shift[1]], [shift[2], 0, -shift[0]], [-shift[1], shift[0], 0]])
-    return np.asarray(np.linalg.inv(other.K).T @ across @ rotation @ np.linalg.inv(one.K))
+    return np.asarray(np.linalg.inv(second.K).T @ across @ rotation @ np.linalg.inv(first.K))
 
 
-def ray_depths(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> tuple[Array, Array, Array]:
+def ray_depths(first: Camera, second: Camera, uv_first: Array, uv_second: Array) -> tuple[Array, Array, Array]:
     """Triangulate matched points: find the depths where their rays pass nearest to each other.
 
     Returns:
         Depth in the first camera, depth in the other, world units, (M,) each, negative behind a camera, and the angle between
         the rays, radians, (M,).
     """
-    ones = np.ones(len(uv_one))
-    rays_one, rays_other = one.unproject(uv_one, ones) - one.centre, other.unproject(uv_other, ones) - other.centre
-    baseline = other.centre - one.centre
-    a, b, c = ((p * q).sum(axis=1) for p, q in ((rays_one, rays_one), (rays_one, rays_other), (rays_other, rays_other)))
-    d, e = rays_one @ baseline, rays_other @ baseline
+    unit_depths = np.ones(len(uv_first))
+    rays_first = first.unproject(uv_first, unit_depths) - first.centre
+    rays_second = second.unproject(uv_second, unit_depths) - second.centre
+    baseline = second.centre - first.centre
+    a, b, c = ((p * q).sum(axis=1) for p, q in ((rays_first, rays_first), (rays_first, rays_second), (rays_second, rays_second)))
+    d, e = rays_first @ baseline, rays_second @ baseline
     determinant = np.maximum(a * c - b * b, 1e-12 * a * c)
     angle_rad = np.arcsin(np.sqrt(np.clip(determinant / (a * c), 0, 1)))
     return (c * d - b * e) / determinant, (b * d - a * e) / determinant, angle_rad
@@ -195,15 +200,15 @@ def tolerances(camera: Camera) -> tuple[float, float]:
     return max(WARN_PX, WARN_SHARE * longest), max(BAD_PX, BAD_SHARE * longest)
 
 
-def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
+def sound_matches(first: Camera, second: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
     """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both, at a sufficient angle.
 
     Returns:
         (M,), and the depth of all matches in the first camera and in the other, world units, (M,) each.
     """
-    sound = epipolar_errors(one, other, pair.uv_first, pair.uv_second) < tolerances(one)[1]
-    depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
-    return sound & (depth_one > 0) & (depth_other > 0) & (angle_rad > SMALLEST_ANGLE_RAD), depth_one, depth_other
+    sound = epipolar_errors(first, second, pair.uv_first, pair.uv_second) < tolerances(first)[1]
+    depth_first, depth_second, angle_rad = ray_depths(first, second, pair.uv_first, pair.uv_second)
+    return sound & (depth_first > 0) & (depth_second > 0) & (angle_rad > SMALLEST_ANGLE_RAD), depth_first, depth_second
 
 
 def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
@@ -213,15 +218,15 @@ def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[
     """
     pairs = set()
     for index, camera in enumerate(cameras):
-        order = sorted((remoteness(camera, other), place) for place, other in enumerate(cameras) if place != index)
+        order = sorted((remoteness(camera, neighbour), place) for place, neighbour in enumerate(cameras) if place != index)
         pairs |= {(min(index, place), max(index, place)) for _, place in order[:count]}
     return sorted(pairs)
 
 
-def remoteness(camera: Camera, other: Camera) -> float:
+def remoteness(camera: Camera, partner: Camera) -> float:
     """Return the distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
-    distance = float(np.linalg.norm(camera.centre - other.centre))
-    return distance * (2.0 - float(camera.axis @ other.axis))
+    distance = float(np.linalg.norm(camera.centre - partner.centre))
+    return distance * (2.0 - float(camera.axis @ partner.axis))
 
 
 def _homogeneous(uv: Array) -> Array:

@@ -35,7 +35,7 @@ def rigid_between(first: Camera, second: Camera) -> NDArray[np.float64]:
     return transform
 
 
-def as_image(array: NDArray, camera: Camera, what: str, error: type[GgvsError]) -> NDArray[np.float32]:
+def as_image(array: NDArray, camera: Camera, name: str, error: type[GgvsError]) -> NDArray[np.float32]:
     """Return the array as C-contiguous float32 if its height and width are the camera's; copies only what is not so already.
 
     Raises:
@@ -43,7 +43,7 @@ def as_image(array: NDArray, camera: Camera, what: str, error: type[GgvsError]) 
     """
     if array.shape[:2] != (camera.height, camera.width):
         raise error(
-            f"camera {camera.name}: {what} must be {camera.height} x {camera.width} like the camera, got {array.shape}; "
+            f"camera {camera.name}: {name} must be {camera.height} x {camera.width} like the camera, got {array.shape}; "
             "resize one of them (Camera.resized)"
         )
     return np.ascontiguousarray(array, dtype=np.float32)

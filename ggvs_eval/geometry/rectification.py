@@ -133,7 +133,7 @@ def nearest_disparity(reference: Camera, partner: Camera) -> float:
         DepthError: as `rectify`.
     """
     world_to_rectified, baseline = _rectifying_rotation(reference, partner)
-    rays = [transformed(product(world_to_rectified, each.rotation.T), _corner_rays(each)) for each in (reference, partner)]
+    rays = [transformed(product(world_to_rectified, camera.rotation.T), _corner_rays(camera)) for camera in (reference, partner)]
     _, (_, d_max), _, (width, _) = _canvas(reference, partner, rays[0], rays[1], baseline)
     return d_max / (width - d_max)
 
@@ -211,8 +211,8 @@ def at_matches(right: Values, disparity: Map) -> Values:
     """
     columns = np.rint(np.arange(disparity.shape[1], dtype=np.float32) - disparity)
     rows = np.broadcast_to(np.arange(len(disparity), dtype=np.float32)[:, None], disparity.shape)
-    found = cv2.remap(right, columns, np.ascontiguousarray(rows), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
-    return np.asarray(found, right.dtype)
+    values = cv2.remap(right, columns, np.ascontiguousarray(rows), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(values, right.dtype)
 
 
 def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:

@@ -90,7 +90,7 @@ def _footprints(
     quads = np.stack(corners)  # (4, 2, N)
     is_finite = np.isfinite(quads).all(axis=(0, 1))
     quads = np.where(is_finite, quads, -1.0)
-    low, high = (np.ceil(np.clip(each, 0, size) - 0.5).astype(np.int64) for each in (quads.min(axis=0), quads.max(axis=0)))
+    low, high = (np.ceil(np.clip(corner, 0, size) - 0.5).astype(np.int64) for corner in (quads.min(axis=0), quads.max(axis=0)))
     return low, np.minimum(high, low + LARGEST_FOOTPRINT_PX)
 
 
@@ -101,11 +101,11 @@ def _draw(target: Camera, low: NDArray[np.int64], high: NDArray[np.int64], norma
     for down in range(int(heights.max(initial=0))):
         tall = np.flatnonzero((heights > down) & (widths > 0))
         for across in range(int(widths[tall].max(initial=0))):
-            chosen = tall[widths[tall] > across]
-            column, row = low[0, chosen] + across, low[1, chosen] + down
+            pieces = tall[widths[tall] > across]
+            column, row = low[0, pieces] + across, low[1, pieces] + down
             x, y = ((at + 0.5 - target.K[axis, 2]) / target.K[axis, axis] for axis, at in ((0, column), (1, row)))
-            normal = normals[chosen]
-            inverse = (normal[:, 0] * x + normal[:, 1] * y + normal[:, 2]) / offsets[chosen]
+            normal = normals[pieces]
+            inverse = (normal[:, 0] * x + normal[:, 1] * y + normal[:, 2]) / offsets[pieces]
             with np.errstate(divide="ignore", invalid="ignore"):
                 z = np.where(inverse > 0, 1 / inverse, np.inf)
             np.minimum.at(nearest, row * target.width + column, z)

@@ -31,13 +31,15 @@ def shown_share(target: Camera, sources: Sequence[Camera], cameras: Sequence[Cam
         13, 19 and 24 degrees, 0.15 and 0.1 dB at 30 and 37; at 43 the pair cannot be rectified.
     """
     points = sample_view(target)
-    shown = np.zeros(len(points), bool)
+    mask = np.zeros(len(points), bool)
     for source in sources:
         is_shown = sees(source, points) & (ray_angles(target, source, points) <= MOST_VIEW_RAD)
         if source.name not in sensed:
-            is_shown &= _matchable(source, [each for each in cameras if each.name not in (source.name, target.name)], points)
-        shown |= is_shown
-    return share_of_view(target, shown)
+            is_shown &= _matchable(
+                source, [camera for camera in cameras if camera.name not in (source.name, target.name)], points
+            )
+        mask |= is_shown
+    return share_of_view(target, mask)
 
 
 def require_sight(target: Camera, sources: Sequence[Camera], cameras: Sequence[Camera], sensed: Collection[str] = ()) -> None:
@@ -71,7 +73,7 @@ def describe_sight(target: Camera, sources: Sequence[Camera], share: float) -> s
 def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Collection[str] = ()) -> str:
     """Suggest what would help a target of which its sources show too little."""
     try:
-        better = [each.camera for each in choose_sources(target, cameras, k, "coverage")]
+        better = [source.camera for source in choose_sources(target, cameras, k, "coverage")]
         share = shown_share(target, better, cameras, sensed)
     except CameraError:
         share = 0.0

@@ -48,8 +48,8 @@ def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
     """
     pivot = _pivot(cameras)
     directions = np.stack([_unit(camera.centre - pivot) for camera in cameras])
-    places, kept = _project(directions, _unit(target.centre - pivot))
-    if len(kept) < NEED or _is_a_row(places):
+    places, indices = _project(directions, _unit(target.centre - pivot))
+    if len(indices) < NEED or _is_a_row(places):
         raise CameraError(
             f"camera {target.name}: wanted three cameras around it that form a triangle, the {len(cameras)} others form a "
             'row or are too few; set synthesis.sources = "nearest"'
@@ -63,14 +63,15 @@ def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
     weights = np.stack([_closest(places[triangle]) for triangle in triangles])  # (T, 3)
     reached = np.einsum("tc,tcd->td", weights, places[triangles])
     best = int(np.argmin(np.square(reached).sum(axis=1).round(12)))
-    return {int(kept[member]): float(weight) for member, weight in zip(triangles[best], weights[best], strict=True)}
+    return {int(indices[member]): float(weight) for member, weight in zip(triangles[best], weights[best], strict=True)}
 
 
 def _pivot(cameras: Sequence[Camera]) -> Array:
     """Return the point that the cameras look at, (3,): nearest to all axes and, by a little, to the middle of what they see."""
-    middles = np.stack([each.centre + each.axis * 2 / (1 / each.near + 1 / each.far) for each in cameras])
-    across = np.stack([np.eye(3) - np.outer(each.axis, each.axis) for each in cameras])  # takes the part along the axis away
-    centres = np.stack([each.centre for each in cameras])
+    middles = np.stack([camera.centre + camera.axis * 2 / (1 / camera.near + 1 / camera.far) for camera in cameras])
+    # Each matrix takes the part along the camera's axis away.
+    across = np.stack([np.eye(3) - np.outer(camera.axis, camera.axis) for camera in cameras])
+    centres = np.stack([camera.centre for camera in cameras])
     matrix = across.mean(axis=0) + PRIOR * np.eye(3)
     return np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centres) / len(cameras) + PRIOR * middles.mean(axis=0))
 
@@ -78,10 +79,10 @@ def _pivot(cameras: Sequence[Camera]) -> Array:
 def _project(directions: Array, middle: Array) -> tuple[Array, NDArray[np.int64]]:
     """Stereographic projection of unit vectors, (N, 3), with `middle` at 0: places, (M, 2), and whose they are, (M,)."""
     cosine = directions @ middle
-    kept = np.flatnonzero(cosine > OPPOSITE)
+    indices = np.flatnonzero(cosine > OPPOSITE)
     right = _unit(np.cross(middle, np.eye(3)[np.abs(middle).argmin()]))
     axes = np.stack([right, np.cross(middle, right)])
-    return directions[kept] @ axes.T / (1 + cosine[kept])[:, None], kept
+    return directions[indices] @ axes.T / (1 + cosine[indices])[:, None], indices
 
 
 def _is_a_row(places: Array) -> bool:
@@ -105,8 +106,8 @@ def _closest(corners: Array) -> Array:
 
 
 def _area(corners: Array) -> float:
-    one, other = corners[1] - corners[0], corners[2] - corners[0]
-    return abs(float(one[0] * other[1] - one[1] * other[0]))
+    first_side, second_side = corners[1] - corners[0], corners[2] - corners[0]
+    return abs(float(first_side[0] * second_side[1] - first_side[1] * second_side[0]))
 
 
 def _unit(vector: Array) -> Array:
@@ -178,13 +179,13 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
     """
     if how not in get_args(SourceChoice):
         raise CameraError(f"sources: wanted one of {', '.join(get_args(SourceChoice))}, got {how!r}")
-    others = nearest_cameras(target, cameras, len([camera for camera in cameras if camera.name != target.name]))
-    nearest_cameras(target, others, k)  # refuses too few
-    shares = SHARES[how](target, others, k)
-    return tuple(ChosenSource(others[index], share) for index, share in sorted(shares.items()))
+    candidates = nearest_cameras(target, cameras, len([camera for camera in cameras if camera.name != target.name]))
+    nearest_cameras(target, candidates, k)  # refuses too few
+    shares = SHARES[how](target, candidates, k)
+    return tuple(ChosenSource(candidates[index], share) for index, share in sorted(shares.items()))
 
 
-def turn_rad(one: Camera, other: Camera) -> float:
+def turn_rad(first: Camera, second: Camera) -> float:
     """Return the angle between the viewing directions of two cameras.
 
     Examples:
@@ -193,22 +194,22 @@ def turn_rad(one: Camera, other: Camera) -> float:
         >>> turn_rad(camera, camera)
         0.0
     """
-    return float(np.arccos(np.clip(one.axis @ other.axis, -1.0, 1.0)))
+    return float(np.arccos(np.clip(first.axis @ second.axis, -1.0, 1.0)))
 
 
-def _nearest_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[int, float]:
-    """Index in `others` -> share; falls over the last part of the distance to the nearest camera that is not chosen."""
-    distances = [float(np.linalg.norm(camera.centre - target.centre)) for camera in others[: k + 1]]
+def _nearest_shares(target: Camera, candidates: Sequence[Camera], k: int) -> dict[int, float]:
+    """Index in `candidates` -> share; falls over the last part of the distance to the nearest camera that is not chosen."""
+    distances = [float(np.linalg.norm(camera.centre - target.centre)) for camera in candidates[: k + 1]]
     if len(distances) == k or distances[k] == 0:
         return dict.fromkeys(range(k), 1.0)
     return {index: _share((distances[k] - distances[index]) / (NEAREST_FADE * distances[k])) for index in range(k)}
 
 
-def _triplet_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[int, float]:
-    """Index in `others` -> share; falls as the target comes near the side of its triangle that the camera does not touch."""
+def _triplet_shares(target: Camera, candidates: Sequence[Camera], k: int) -> dict[int, float]:
+    """Index in `candidates` -> share; falls as the target comes near the side of its triangle that the camera does not touch."""
     if k != NEED:
         raise CameraError(f"camera {target.name}: wanted K = {NEED} for the triangle around it, got {k}; set synthesis.k")
-    return {index: _share(coordinate / TRIPLET_FADE) for index, coordinate in find_triplet(target, others).items()}
+    return {index: _share(coordinate / TRIPLET_FADE) for index, coordinate in find_triplet(target, candidates).items()}
 
 
 def _share(margin: float) -> float:
@@ -216,14 +217,14 @@ def _share(margin: float) -> float:
     return round(min(max(margin, LEAST_SHARE), 1.0), 6)
 
 
-def _coverage_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[int, float]:
-    """Return the index in `others` -> share; falls as the best set without a camera becomes as good as the best of all."""
+def _coverage_shares(target: Camera, candidates: Sequence[Camera], k: int) -> dict[int, float]:
+    """Return the index in `candidates` -> share; falls as the best set without a camera becomes as good as the best of all."""
     points = sample_view(target)
-    worth = np.stack([_worth(target, camera, points) for camera in others])  # (N, P)
+    worth = np.stack([_worth(target, camera, points) for camera in candidates])  # (N, P)
     pool, worth = _pool(worth, k)
     if not len(pool):
         raise CameraError(
-            f"camera {target.name}: wanted sources that face its view, none of {len(others)} cameras is turned by less than "
+            f"camera {target.name}: wanted sources that face its view, none of {len(candidates)} cameras is turned by less than "
             f"{np.rad2deg(MOST_TURN_RAD):.0f} degrees and sees any of its view; leave it out or add cameras"
         )
     k = min(k, len(pool))
@@ -304,19 +305,19 @@ def sample_view(target: Camera, grid: tuple[int, int] = GRID, depths: int = DEPT
     return target.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
 
 
-def share_of_view(camera: Camera, seen: NDArray[np.bool_], depths: int = DEPTHS) -> float:
+def share_of_view(camera: Camera, visibility: NDArray[np.bool_], depths: int = DEPTHS) -> float:
     """Share of the points of a camera's view that are seen; over a guessed depth range, at the depth where it is largest.
 
     A guess may be far too wide, and what is seen at the depths that it makes up says nothing of those that the scene has.
 
     Args:
         camera: whose view.
-        seen: of points at `depths` on the same ray, (P,).
+        visibility: of points at `depths` on the same ray, (P,).
         depths: number of points on a ray.
     """
     if camera.range_origin != "guessed":
-        return float(seen.mean())
-    return float(seen.reshape(-1, depths).mean(axis=0).max())
+        return float(visibility.mean())
+    return float(visibility.reshape(-1, depths).mean(axis=0).max())
 
 
 def sees(camera: Camera, points: Array) -> NDArray[np.bool_]:

@@ -162,13 +162,13 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
         raise RenderError(f"point splat: near must be positive, got {near:g}")
     depth = as_image(source.depth, source.camera, "depth", RenderError)
     features = as_image(float_features(source.image, extra), source.camera, "features", RenderError)
-    place, z, chosen = _project(source.camera, depth, target, near)
+    place, z, pixel = _project(source.camera, depth, target, near)
     order = np.lexsort((z, place))  # by pixel, within it by depth, within that as they were
     first = order[np.r_[True, np.diff(place[order]) > 0]] if order.size else order
     size = (target.height, target.width)
     colour, alpha = np.zeros((*size, features.shape[2]), np.float32), np.zeros(size, np.float32)
     splat_depth = np.zeros(size, np.float32)
-    colour.reshape(-1, features.shape[2])[place[first]] = features.reshape(-1, features.shape[2])[chosen[first]]
+    colour.reshape(-1, features.shape[2])[place[first]] = features.reshape(-1, features.shape[2])[pixel[first]]
     alpha.reshape(-1)[place[first]] = OPAQUE
     splat_depth.reshape(-1)[place[first]] = z[first]
     return Splat(colour, alpha, splat_depth)

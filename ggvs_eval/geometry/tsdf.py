@@ -171,7 +171,7 @@ def march_end(target: Camera, tau: float, min_step: float, depths: Iterable[Any]
     if end <= target.near:
         step = f"{min_step:g} tau = {tau * min_step:g}"
         raise DepthError(f"ray march: wanted steps above rounding at the near depth {target.near:g}, got {step}; raise tau")
-    if end < target.far and any(float(each.max()) > end for each in depths):
+    if end < target.far and any(float(depth.max()) > end for depth in depths):
         text = f"depth beyond {end:g} world units is unreachable by steps of {tau * min_step:g}; are units_per_metre right?"
         warnings.warn(text, GgvsWarning, stacklevel=2)
     return end

@@ -146,8 +146,8 @@ def _run_pool(
                 while waiting and len(running) < workers and _fits(len(running)):
                     running[pool.submit(work, waiting[0][1])] = waiting[0]
                     waiting.popleft()
-                done, _ = wait(running, LOOK_AGAIN_S, FIRST_COMPLETED)
-                for future in done:
+                futures, _ = wait(running, LOOK_AGAIN_S, FIRST_COMPLETED)
+                for future in futures:
                     result = future.result()
                     yield running.pop(future)[0], result
     except BrokenProcessPool:
@@ -219,13 +219,13 @@ def last_error(text: str) -> str:
 @contextmanager
 def _errors_into(file: IO[bytes]) -> Iterator[None]:
     """Let processes that are started inside print their errors into a file."""
-    kept = os.dup(STDERR)
+    original = os.dup(STDERR)
     os.dup2(file.fileno(), STDERR)
     try:
         yield
     finally:
-        os.dup2(kept, STDERR)
-        os.close(kept)
+        os.dup2(original, STDERR)
+        os.close(original)
 
 
 def run_all(work: Callable[[Item], object], items: Sequence[Item], workers: Workers, description: str) -> None:

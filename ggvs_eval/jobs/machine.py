@@ -30,22 +30,22 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
     """
     machine = _field(meminfo, "MemAvailable:", KIB)
     try:
-        limit, held = float((cgroup / "memory.max").read_text()), float((cgroup / "memory.current").read_text())
+        limit, usage = float((cgroup / "memory.max").read_text()), float((cgroup / "memory.current").read_text())
     except (OSError, ValueError):  # no control groups, or a limit of "max"
         return machine
     cached = _field(cgroup / "memory.stat", "inactive_file", 1)  # files the kernel drops when memory is asked for
-    return min(machine, limit - held + (cached if cached != float("inf") else 0))
+    return min(machine, limit - usage + (cached if cached != float("inf") else 0))
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
     """Sum the resident memory of processes, and find the highest peak of any one; 0 if the system does not report it."""
-    now, most = 0.0, 0.0
+    total, most = 0.0, 0.0
     for pid in pids:
         status = Path(f"/proc/{pid}/status")
-        held, highest = _field(status, "VmRSS:", KIB), _field(status, "VmHWM:", KIB)
-        if held != float("inf"):
-            now, most = now + held, max(most, highest)
-    return now, most
+        resident, highest = _field(status, "VmRSS:", KIB), _field(status, "VmHWM:", KIB)
+        if resident != float("inf"):
+            total, most = total + resident, max(most, highest)
+    return total, most
 
 
 class PeakMemory:
@@ -64,13 +64,11 @@ class PeakMemory:
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 
     def __enter__(self) -> "PeakMemory":
-        """Begin to look."""
         self._look()
         self._watcher.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Look a last time."""
         self._is_over.set()
         self._watcher.join()
         self._look()
@@ -80,9 +78,9 @@ class PeakMemory:
             self._look()
 
     def _look(self) -> None:
-        held = _field(self._status, "VmRSS:", KIB)
-        if held != float("inf"):
-            self.bytes = max(self.bytes or 0, int(held))
+        resident = _field(self._status, "VmRSS:", KIB)
+        if resident != float("inf"):
+            self.bytes = max(self.bytes or 0, int(resident))
 
 
 def has_room(running: int, pids: Iterable[int]) -> bool:
@@ -91,8 +89,8 @@ def has_room(running: int, pids: Iterable[int]) -> bool:
     Args:
         running: jobs that are being worked on; what they have not taken yet is kept for them.
     """
-    held, most = resident_bytes(pids)
-    return available_bytes() + held >= (running + 1) * most
+    resident, most = resident_bytes(pids)
+    return available_bytes() + resident >= (running + 1) * most
 
 
 def _field(file: Path, name: str, unit_bytes: int) -> float:
@@ -139,14 +137,14 @@ class Estimate:
     unknown: int
 
 
-def estimate(left: Iterable[Result], done: Iterable[Made] = (), pace: Callable[[], float] = pace) -> Estimate:
+def estimate(left: Iterable[Result], history: Iterable[Made] = (), pace: Callable[[], float] = pace) -> Estimate:
     """Return the time that results take.
 
     Args:
-        done: results that were made here.
+        history: results that were made here.
         pace: seconds that a core-second of `Result.cost_s` takes here; called where a cost is used.
     """
-    paces = _paces(done)
+    paces = _paces(history)
     seconds, unknown = 0.0, 0
     for result in left:
         word = result.pace or result.kind
@@ -159,12 +157,12 @@ def estimate(left: Iterable[Result], done: Iterable[Made] = (), pace: Callable[[
     return Estimate(seconds, unknown)
 
 
-def _paces(done: Iterable[Made]) -> dict[str, float]:
+def _paces(history: Iterable[Made]) -> dict[str, float]:
     """Return the mean seconds of a file for each word of pace."""
     took: dict[str, list[float]] = defaultdict(list)
-    for made in done:
-        seconds = read_record(made.folder).get("seconds")  # of each stage of each file, or of all together
+    for result in history:
+        seconds = read_record(result.folder).get("seconds")  # of each stage of each file, or of all together
         if seconds:
-            whole = sum(map(sum, seconds.values())) if isinstance(seconds, dict) else seconds
-            took[made.pace or made.kind].append(whole / max(made.count, 1))
+            total = sum(map(sum, seconds.values())) if isinstance(seconds, dict) else seconds
+            took[result.pace or result.kind].append(total / max(result.count, 1))
     return {word: sum(seconds) / len(seconds) for word, seconds in took.items()}

@@ -94,12 +94,12 @@ class _ThisProcess(Executor):
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         """See `Executor`."""
-        done: Future[Any] = Future()
+        future: Future[Any] = Future()
         try:
-            done.set_result(work(*arguments, **named))
+            future.set_result(work(*arguments, **named))
         except Exception as error:
-            done.set_exception(error)
-        return done
+            future.set_exception(error)
+        return future
 
 
 class _WorkerPool(ProcessPoolExecutor):
@@ -130,15 +130,15 @@ def _without_interrupts() -> Iterator[None]:
         return
     came: list[int] = []
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    held = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for number in held:
+    python_handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in python_handlers:
         signal.signal(number, lambda number, _: came.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for number, handler in held.items():
+        for number, handler in python_handlers.items():
             signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])
@@ -151,8 +151,8 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
         Exception: what the job that failed raised.
     """
     try:
-        for done in track(as_completed(running), description, total=len(running)):
-            done.result()
+        for future in track(as_completed(running), description, total=len(running)):
+            future.result()
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
@@ -168,7 +168,6 @@ def share_cpus(threads: int) -> None:
 
 
 def _start_worker(threads: int) -> None:
-    """Share the CPUs and watch the parent."""
     share_cpus(threads)
     threading.Thread(target=_die_with_parent, daemon=True).start()
 

@@ -14,20 +14,20 @@ class Shard:
     """Every n-th view of a sweep; the shards of one n have no view in common and together all of them.
 
     Attributes:
-        number: from 1 to `of`; 0 has no view, so that it only prepares what all others need.
-        of: how many shards there are.
+        number: from 1 to `count`; 0 has no view, so that it only prepares what all others need.
+        count: how many shards there are.
     """
 
     number: int
-    of: int
+    count: int
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
         """``i/n`` as it is typed."""
-        number, _, of = text.partition("/")
-        if not (number.isdecimal() and of.isdecimal() and int(number) <= int(of) and int(of) > 0):
+        number, _, count = text.partition("/")
+        if not (number.isdecimal() and count.isdecimal() and int(number) <= int(count) and int(count) > 0):
             raise ProtocolError(f"--shard {text}: wanted i/n with i from 1 to n, such as 2/5, or 0/n to prepare only")
-        return cls(int(number), int(of))
+        return cls(int(number), int(count))
 
     @property
     def is_whole(self) -> bool:
@@ -46,7 +46,7 @@ class Shard:
             >>> Shard.parse("2/3").pick(["cam00", "cam01", "cam02", "cam03", "cam04"])
             ['cam01', 'cam04']
         """
-        return [] if self.prepares_only else list(units[self.number - 1 :: self.of])
+        return [] if self.prepares_only else list(units[self.number - 1 :: self.count])
 
 
 WHOLE = Shard(1, 1)

@@ -47,8 +47,8 @@ def side_by_side(first: Callable[[], First], second: Callable[[], Second]) -> tu
     if get_threads() == 1:
         return first(), second()
     with ThreadPoolExecutor(1) as beside:
-        other = beside.submit(second)
-        return first(), other.result()
+        future = beside.submit(second)
+        return first(), future.result()
 
 
 def set_simd_level(name: str) -> None:

@@ -163,7 +163,6 @@ def _column(weights: Array, axes: int) -> Array32:
 
 
 def _weighted_sum(lines: Any, weights: Array32) -> Array32:
-    """Return the sum of the lines by their weights, from the first to the last."""
     total: Any = None
     for line, weight in zip(lines, weights, strict=True):
         part = line * weight

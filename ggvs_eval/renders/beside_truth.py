@@ -131,12 +131,12 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
     pairs = _pairs(path)
     if not pairs:
         none = f"no {', '.join(f'{rendered}/ next to {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
-        others = [each.relative_to(path) for split in OTHER_SPLITS for each in sorted(path.glob(f"{split}/ours_*/{PAIRS[0][0]}"))]
-        return f"{none}; {others[0]}/ is there, which is no test set: render that (without --skip_test)" if others else none
+        sets = [place.relative_to(path) for split in OTHER_SPLITS for place in sorted(path.glob(f"{split}/ours_*/{PAIRS[0][0]}"))]
+        return f"{none}; {sets[0]}/ is there, which is no test set: render that (without --skip_test)" if sets else none
     if len(pairs) > 1:
         places = [pair.rendered.parent for pair in pairs]
-        shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
-        return f"several sets; give one of {', '.join(str(place.relative_to(path)) for place in shown)}"
+        choices = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
+        return f"several sets; give one of {', '.join(str(place.relative_to(path)) for place in choices)}"
     return None
 
 
@@ -148,8 +148,8 @@ def truth_pictures(path: Path) -> dict[str, list[Path]]:
     """
     pairs = [pair for pair in _pairs(path) if list_files_below(pair.truth)] if path.is_dir() else []
     if len(pairs) != 1:
-        wanted = ", ".join(f"{rendered}/ next to {truth}/" for rendered, truth in PAIRS)
-        raise RenderError(f"{path}: {len(pairs)} sets of renders with their truth ({wanted}); give a folder with one")
+        layouts = ", ".join(f"{rendered}/ next to {truth}/" for rendered, truth in PAIRS)
+        raise RenderError(f"{path}: {len(pairs)} sets of renders with their truth ({layouts}); give a folder with one")
     by_view: dict[str, list[Path]] = {}
     for file in _by_key(pairs[0].truth).values():
         view = file.parent.relative_to(pairs[0].truth).as_posix().replace("/", "-")
@@ -185,9 +185,9 @@ def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> Rend
         )
     if set(rendered) != set(copies):
         listed = ", ".join(str(key) for key in sorted(set(rendered) ^ set(copies), key=str)[:20])
-        both = f"{pair.rendered.name}/ and {pair.truth.name}/"
+        folders = f"{pair.rendered.name}/ and {pair.truth.name}/"
         raise RenderError(
-            f"{pair.rendered.parent}: wanted the same numbers in {both}, one of them lacks {listed}; render them again"
+            f"{pair.rendered.parent}: wanted the same numbers in {folders}, one of them lacks {listed}; render them again"
         )
     return _found_in_order(list(rendered.values()), [copies[key] for key in rendered], pair, request, is_temporary)
 
@@ -246,8 +246,8 @@ def _has_truth(pair: _Pair) -> bool:
 
 def _by_key(folder: Path) -> dict[int | str, Path]:
     """Return the pictures below a folder, in order, by number in a flat list, else by relative name."""
-    found = list_files_below(folder)
-    numbers = frame_numbers(folder, [file.stem for file in found])
-    if all(file.parent == folder for file in found) and None not in numbers and len(set(numbers)) == len(found):
-        return {number: file for number, file in sorted(zip(numbers, found, strict=True)) if number is not None}
-    return {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}
+    pictures = list_files_below(folder)
+    numbers = frame_numbers(folder, [file.stem for file in pictures])
+    if all(file.parent == folder for file in pictures) and None not in numbers and len(set(numbers)) == len(pictures):
+        return {number: file for number, file in sorted(zip(numbers, pictures, strict=True)) if number is not None}
+    return {file.relative_to(folder).with_suffix("").as_posix(): file for file in pictures}

@@ -69,17 +69,17 @@ def detect(path: Path, request: FrameRequest) -> str:
         )
     near = {name: reason for name, reason in reasons.items() if reason and reason.startswith(SEVERAL)}
     listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in (near or reasons).items())
-    held = contents(path)
-    there = f"holds {held}, but " if held and not near else ""
-    raise RenderError(f"{path}: {there}no renders of {', '.join(request.views)} that can be read: {listed}")
+    content = contents(path)
+    prefix = f"holds {content}, but " if content and not near else ""
+    raise RenderError(f"{path}: {prefix}no renders of {', '.join(request.views)} that can be read: {listed}")
 
 
 def _fitting_folder(path: Path, request: FrameRequest) -> Path | None:
     """Return the only folder below, at most `LEVELS` deep, that holds renders of some kind."""
     level, below = [path], []
     for _ in range(LEVELS):
-        inner = [each for folder in level for each in list_entries(folder) if each.name not in beside_truth.OTHER_SPLITS]
-        level = [each for each in inner if each.is_dir()][: 4 * LISTED]
+        inner = [entry for folder in level for entry in list_entries(folder) if entry.name not in beside_truth.OTHER_SPLITS]
+        level = [entry for entry in inner if entry.is_dir()][: 4 * LISTED]
         below += level
     fitting = [folder for folder in below if any(kind.refuse(folder, request) is None for kind in KINDS.values())]
     return fitting[0] if len(fitting) == 1 else None
@@ -89,6 +89,6 @@ def contents(path: Path) -> str:
     """Name what a folder holds, folders with the number of pictures below them; empty for a file or an empty folder."""
     entries = list_entries(path)
     names = [
-        f"{each.name}/ ({len(list_files_below(each))} pictures)" if each.is_dir() else each.name for each in entries[:LISTED]
+        f"{entry.name}/ ({len(list_files_below(entry))} pictures)" if entry.is_dir() else entry.name for entry in entries[:LISTED]
     ]
     return ", ".join(names) + (f" and {len(entries) - LISTED} more" if len(entries) > LISTED else "")

@@ -54,9 +54,9 @@ class Place(NamedTuple):
 
 def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[int | None]:
     """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none."""
-    rest = stems if view.isdigit() or not view else [re.sub(as_word(view), "", stem) for stem in stems]
+    names = stems if view.isdigit() or not view else [re.sub(as_word(view), "", stem) for stem in stems]
     try:
-        numbers = numbers_in(rest, are_of_one=False)
+        numbers = numbers_in(names, are_of_one=False)
     except ValueError as error:
         raise RenderError(f"{folder}: wanted pictures whose numbers can be read in one way, got {error}") from None
     return [number if isinstance(number, int) else None for number in numbers]
@@ -64,13 +64,13 @@ def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[in
 
 def places_of(folder: Path, names: Iterable[str], views: Sequence[str]) -> list[Place | None]:
     """Return view and frame of relative names, without suffix; None unless exactly one view's name is in it once as a word."""
-    found: list[tuple[str, str] | None] = []
+    places: list[tuple[str, str] | None] = []
     for name in map(same_name, names):
         matches = [(view, match) for view in views for match in re.finditer(as_word(same_name(view)), name)]
         view, match = matches[0] if len(matches) == 1 else ("", None)
-        found.append((view, f"{name[: match.start()]}|{name[match.end() :]}") if match else None)
-    numbers = iter(frame_numbers(folder, [rest for _, rest in filter(None, found)]))
-    return [Place(place[0], next(numbers), len(re.findall(r"\d+", place[1]))) if place else None for place in found]
+        places.append((view, f"{name[: match.start()]}|{name[match.end() :]}") if match else None)
+    numbers = iter(frame_numbers(folder, [remainder for _, remainder in filter(None, places)]))
+    return [Place(place[0], next(numbers), len(re.findall(r"\d+", place[1]))) if place else None for place in places]
 
 
 def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item]]], request: FrameRequest) -> Numbered[Item]:
@@ -111,103 +111,102 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
 
 def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int, str]:
     """Return the number that the capture's first instant bears, and the line that says so."""
-    used = sorted(set().union(*numbers.values()))
-    if not used:
+    all_numbers = sorted(set().union(*numbers.values()))
+    if not all_numbers:
         return 0, "no frame has a number in its name"
     if request.first_frame is not None:
         first = request.first_frame - request.frames.start
-        return first, f"numbered by --first-frame {request.first_frame}: {_taken(used, first, request)}"
+        return first, f"numbered by --first-frame {request.first_frame}: {_taken(all_numbers, first, request)}"
     _refuse_unlike(numbers, request)
-    first = _first_number(used, request)
-    origin = f"numbered from {first}:" if first else "frames" if len(used) > 1 else "frame"
-    return first, f"{origin} {_taken(used, first, request)}"
+    first = _first_number(all_numbers, request)
+    origin = f"numbered from {first}:" if first else "frames" if len(all_numbers) > 1 else "frame"
+    return first, f"{origin} {_taken(all_numbers, first, request)}"
 
 
-def _first_number(used: Sequence[int], request: FrameRequest) -> int:
+def _first_number(numbers: Sequence[int], request: FrameRequest) -> int:
     """Return the number of the capture's first instant, from the numbers of all views."""
-    if used[0] > request.n_frames:
-        return _beyond(used, request)
-    from_0, from_1 = (_fits(used, first, request) for first in (0, 1))
-    lacks_0, lacks_1 = (not _shifted(used, first).issuperset(request.frames) for first in (0, 1))
-    ends_past = used[-1] == request.n_frames  # the last of a capture that is numbered from 1
-    if _is_run(used, len(request.frames)) and lacks_0 and lacks_1:
+    if numbers[0] > request.n_frames:
+        return _beyond(numbers, request)
+    from_0, from_1 = (_fits(numbers, first, request) for first in (0, 1))
+    lacks_0, lacks_1 = (not _shifted(numbers, first).issuperset(request.frames) for first in (0, 1))
+    ends_past = numbers[-1] == request.n_frames  # the last of a capture that is numbered from 1
+    if _is_run(numbers, len(request.frames)) and lacks_0 and lacks_1:
         raise RenderError(
-            f"frames are numbered {as_ranges(list(used))}, the protocol uses the instants "
-            f"{as_ranges(list(request.frames))} of 0-{request.n_frames - 1}; render those, or give --first-frame {used[0]} "
-            f"if number {used[0]} shows instant {request.frames.start}"
+            f"frames are numbered {as_ranges(list(numbers))}, the protocol uses the instants "
+            f"{as_ranges(list(request.frames))} of 0-{request.n_frames - 1}; render those, or give --first-frame {numbers[0]} "
+            f"if number {numbers[0]} shows instant {request.frames.start}"
         )
-    if used[0] == 0 or (from_0 and not lacks_0):
+    if numbers[0] == 0 or (from_0 and not lacks_0):
         return 0
     if (from_1 and not from_0) or (lacks_0 and not lacks_1):
         if request.frames.start == 0 or ends_past:
             return 1
-        raise _ambiguous(used, request)
+        raise _ambiguous(numbers, request)
     if (from_0 and from_1) or not (lacks_0 or lacks_1 or ends_past):
-        raise _ambiguous(used, request)
+        raise _ambiguous(numbers, request)
     return 1 if ends_past else 0
 
 
-def _fits(used: Sequence[int], first: int, request: FrameRequest) -> bool:
+def _fits(numbers: Sequence[int], first: int, request: FrameRequest) -> bool:
     """Return whether numbers are frames of the protocol alone, or the whole capture, if its first instant has number `first`."""
-    shifted = _shifted(used, first)
+    shifted = _shifted(numbers, first)
     return shifted.issubset(request.frames) or shifted == set(range(request.n_frames))
 
 
-def _beyond(used: Sequence[int], request: FrameRequest) -> int:
+def _beyond(numbers: Sequence[int], request: FrameRequest) -> int:
     """Return the first of numbers of which none can be an instant."""
-    shifted = _shifted(used, used[0])
+    shifted = _shifted(numbers, numbers[0])
     if shifted == set(range(request.n_frames)) or (request.frames.start == 0 and shifted == set(request.frames)):
-        return used[0]
+        return numbers[0]
     raise RenderError(
-        f"frames are numbered {as_ranges(list(used))}, the capture has the instants 0-{request.n_frames - 1}; number them by "
+        f"frames are numbered {as_ranges(list(numbers))}, the capture has the instants 0-{request.n_frames - 1}; number them by "
         f"instant, or give by --first-frame the number of instant {request.frames.start}"
     )
 
 
-def _ambiguous(used: Sequence[int], request: FrameRequest) -> RenderError:
-    """Return the numbers that may be counted from 0 or from 1."""
+def _ambiguous(numbers: Sequence[int], request: FrameRequest) -> RenderError:
+    """The error of numbers that may be counted from 0 or from 1."""
     start = request.frames.start
     return RenderError(
-        f"frames are numbered {as_ranges(list(used))}, which can be the instants {as_ranges(list(used))} or, counted from 1, "
-        f"{as_ranges([number - 1 for number in used])}, and the protocol uses {as_ranges(list(request.frames))}; name them "
-        f"by instant, or give --first-frame {start} if number {start} shows instant {start}, --first-frame {start + 1} if number "
-        f"{start + 1} does"
+        f"frames are numbered {as_ranges(list(numbers))}, which can be the instants {as_ranges(list(numbers))} or, counted "
+        f"from 1, {as_ranges([number - 1 for number in numbers])}, and the protocol uses {as_ranges(list(request.frames))}; "
+        f"name them by instant, or give --first-frame {start} if number {start} shows instant {start}, "
+        f"--first-frame {start + 1} if number {start + 1} does"
     )
 
 
 def _refuse_unlike(numbers: Mapping[str, Numbers], request: FrameRequest) -> None:
     """Refuse views that hold the wanted frames under different numbers."""
     firsts = {}
-    for view, used in numbers.items():
-        if _is_run(sorted(used), len(request.frames)):
-            firsts[view] = min(used) - request.frames.start
-        elif _is_run(sorted(used), request.n_frames):
-            firsts[view] = min(used)
+    for view, view_numbers in numbers.items():
+        if _is_run(sorted(view_numbers), len(request.frames)):
+            firsts[view] = min(view_numbers) - request.frames.start
+        elif _is_run(sorted(view_numbers), request.n_frames):
+            firsts[view] = min(view_numbers)
     if len(set(firsts.values())) > 1:
         odd = list({first: view for view, first in firsts.items()}.values())
         listed = ", ".join(f"{view} {as_ranges(sorted(numbers[view]))}" for view in odd)
         raise RenderError(f"views are numbered differently: {listed}; wanted one numbering for all views, rename the frames")
 
 
-def _is_run(used: Sequence[int], count: int) -> bool:
-    """Return whether these are N consecutive numbers."""
-    return len(used) == count and used[-1] - used[0] == count - 1
+def _is_run(numbers: Sequence[int], count: int) -> bool:
+    return len(numbers) == count and numbers[-1] - numbers[0] == count - 1
 
 
-def _shifted(used: Numbers, first: int) -> set[int]:
-    return {number - first for number in used}
+def _shifted(numbers: Numbers, first: int) -> set[int]:
+    return {number - first for number in numbers}
 
 
-def _taken(used: Sequence[int], first: int, request: FrameRequest) -> str:
-    inside = [number for number in used if number - first in request.frames]
+def _taken(numbers: Sequence[int], first: int, request: FrameRequest) -> str:
+    inside = [number for number in numbers if number - first in request.frames]
     instants = as_ranges([number - first for number in inside])
     if not inside:
-        return f"{as_ranges(list(used))} are used as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
-    if len(inside) == 1 == len(used):
+        return f"{as_ranges(list(numbers))} are used as the instants {as_ranges(sorted(_shifted(numbers, first)))} of the capture"
+    if len(inside) == 1 == len(numbers):
         return f"{inside[0]} is used as the instant {instants} of the capture"
-    if _shifted(used, first) == set(range(request.n_frames)) and len(inside) < len(used):
-        of = f"of {as_ranges(list(used))}, the whole capture, {as_ranges(inside)} are used"
-        return f"{of} as the instants {instants}" if first else of
+    if _shifted(numbers, first) == set(range(request.n_frames)) and len(inside) < len(numbers):
+        origin = f"of {as_ranges(list(numbers))}, the whole capture, {as_ranges(inside)} are used"
+        return f"{origin} as the instants {instants}" if first else origin
     return f"{as_ranges(inside)} are used as the instants {instants} of the capture"
 
 
@@ -227,21 +226,21 @@ def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest)
     """
     start, n_wanted, n_frames = request.frames.start, len(request.frames), request.n_frames
     is_whole = n_wanted < n_frames and all(count == n_frames for count in counts.values())
-    asked = request.first_frame
-    if asked is None and start and not is_whole and any(count > n_wanted for count in counts.values()):
+    first_frame = request.first_frame
+    if first_frame is None and start and not is_whole and any(count > n_wanted for count in counts.values()):
         listed = ", ".join(f"{view} {count}" for view, count in counts.items())
         raise RenderError(
             f"{path}: wanted {n_wanted} frames of each view (the protocol's) or {n_frames} (the whole capture), got {listed}; "
             "cut them to the protocol's frames, or give by --first-frame the frame, counted from 0, of instant "
             f"{start}"
         )
-    first = asked - start if asked is not None else 0 if is_whole else -start  # index of the capture's first instant
+    first = first_frame - start if first_frame is not None else 0 if is_whole else -start  # index of the capture's first instant
     frames = {v: {frame: frame + first for frame in request.frames if 0 <= frame + first < count} for v, count in counts.items()}
-    unused = {view: [] if is_whole or asked is not None else list(range(n_wanted, count)) for view, count in counts.items()}
-    used = as_ranges(list(request.frames))
-    note = f"the frames of each view are used, in order, as the instants {used}"
-    if asked is not None:
-        note = f"by --first-frame {asked}, frame {asked} of each view (counted from 0) shows instant {start}"
+    unused = {view: [] if is_whole or first_frame is not None else list(range(n_wanted, count)) for view, count in counts.items()}
+    instants = as_ranges(list(request.frames))
+    note = f"the frames of each view are used, in order, as the instants {instants}"
+    if first_frame is not None:
+        note = f"by --first-frame {first_frame}, frame {first_frame} of each view (counted from 0) shows instant {start}"
     elif is_whole:
-        note = f"each view has the {n_frames} frames of the whole capture, of which {used} are used"
+        note = f"each view has the {n_frames} frames of the whole capture, of which {instants} are used"
     return Numbered(frames, unused, {}, 0, note)

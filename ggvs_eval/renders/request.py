@@ -140,10 +140,10 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
     usable, missing, faulty = {}, [], []
     for view in request.views:
         rendered = renders.views.get(view)
-        there = rendered.numbers if rendered else ()
+        numbers = rendered.numbers if rendered else ()
         faults = rendered.faults(request.sizes[view]) if rendered else {}
         doubles = renders.doubles.get(view, {})
-        absent = [frame for frame in request.frames if frame not in there and frame not in doubles]
+        absent = [frame for frame in request.frames if frame not in numbers and frame not in doubles]
         if absent:
             missing.append(f"{request.label} in {view} lacks {_absent(absent, view, renders, request)}")
         if doubles:
@@ -153,13 +153,13 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
         for frame, fault in faults.items():
             by_fault[fault].append(frame)
         faulty += [f"{request.label} in {view}: {as_ranges(frames)} ({fault})" for fault, frames in by_fault.items()]
-        good = tuple(frame for frame in there if frame not in faults)
+        good = tuple(frame for frame in numbers if frame not in faults)
         if good:
             usable[view] = good
     owners = {extra: [name for name in request.cameras if re.search(as_word(name), extra)] for extra in renders.extras}
-    others = {extra: names[0] for extra, names in owners.items() if len(names) == 1 and names[0] not in request.views}
-    extras = tuple(extra for extra in renders.extras if extra not in others)
-    return Fit(usable, tuple(missing), tuple(faulty), extras, tuple(name for name in request.cameras if name in others.values()))
+    strays = {extra: names[0] for extra, names in owners.items() if len(names) == 1 and names[0] not in request.views}
+    extras = tuple(extra for extra in renders.extras if extra not in strays)
+    return Fit(usable, tuple(missing), tuple(faulty), extras, tuple(name for name in request.cameras if name in strays.values()))
 
 
 def as_word(name: str) -> str:
@@ -186,8 +186,8 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
         if fitted.untested:
             listed.append(f"there are renders of {', '.join(fitted.untested)}, which the protocol does not test")
         numbered = [numbering] if numbering else []
-        rest = ", or score the rest by `ggvs-eval score --allow-partial`" if fitted.usable else ""
-        raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{rest}")
+        advice = ", or score the rest by `ggvs-eval score --allow-partial`" if fitted.usable else ""
+        raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{advice}")
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
@@ -223,21 +223,21 @@ def read_header(path: Path) -> PictureHeader:
         raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
 
 
-def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
+def size_fault(size: tuple[int, int], expected_size: tuple[int, int]) -> str:
     """Describe a wrong (width, height) of a frame; empty if it is right.
 
     Examples:
         >>> size_fault((320, 120), (160, 120))
         '320 x 120 instead of 160 x 120: 2 pictures side by side? cut out the rendered one'
     """
-    if size == wanted:
+    if size == expected_size:
         return ""
-    fault = f"{size[0]} x {size[1]} instead of {wanted[0]} x {wanted[1]}"
+    fault = f"{size[0]} x {size[1]} instead of {expected_size[0]} x {expected_size[1]}"
     for axis, lie in ((0, "side by side"), (1, "one above the other")):
-        count, rest = divmod(size[axis], wanted[axis])
-        if size[1 - axis] == wanted[1 - axis] and count > 1 and not rest:
+        count, remainder = divmod(size[axis], expected_size[axis])
+        if size[1 - axis] == expected_size[1 - axis] and count > 1 and not remainder:
             return f"{fault}: {count} pictures {lie}? cut out the rendered one"
-    if size[0] < wanted[0] and abs(size[0] / wanted[0] - size[1] / wanted[1]) < 1 / min(wanted):
+    if size[0] < expected_size[0] and abs(size[0] / expected_size[0] - size[1] / expected_size[1]) < 1 / min(expected_size):
         return (
             f"{fault}: to score them at this size, set synthesis.width = {size[0]}, synthesis.height = {size[1]} in a protocol; "
             "sets of another size need one of their own"

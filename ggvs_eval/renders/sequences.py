@@ -85,7 +85,7 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
         raise RenderError(
             f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; give a folder with one kind of file"
         )
-    ordered = sorted(zip(numbers, files, strict=True), key=lambda each: (each[0] is not None, each[0] or 0))
+    ordered = sorted(zip(numbers, files, strict=True), key=lambda pair: (pair[0] is not None, pair[0] or 0))
     return [file for _, file in ordered]
 
 
@@ -139,5 +139,5 @@ def _member(path: Path) -> str:
 
 
 def _nothing(path: Path, kinds: str) -> RenderError:
-    there = f"{path}: wanted {kinds}, got another kind; check the path"
-    return RenderError(there if path.exists() else no_such_path(path, kinds))
+    message = f"{path}: wanted {kinds}, got another kind; check the path"
+    return RenderError(message if path.exists() else no_such_path(path, kinds))

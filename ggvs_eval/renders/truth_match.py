@@ -27,11 +27,11 @@ VISIBLE_DIFFERENCE = 0.25
 Claims = Mapping[tuple[str, int], Path]
 
 
-def difference(one: Image8, other: Image8) -> float:
+def difference(first: Image8, second: Image8) -> float:
     """Return the mean absolute difference in levels of 255; infinite where the sizes differ."""
-    if one.shape != other.shape:
+    if first.shape != second.shape:
         return math.inf
-    return float(cv2.norm(one, other, cv2.NORM_L1)) / one.size
+    return float(cv2.norm(first, second, cv2.NORM_L1)) / first.size
 
 
 def check_truth(claims: Claims, request: FrameRequest) -> float:
@@ -98,9 +98,9 @@ class _ViewDistances:
 
     def better_neighbour(self) -> str:
         """Note that the copies fit neighbouring instants clearly better; else empty."""
-        for offset, (here, there) in self._sums.items():
-            if math.isfinite(here) and here > VISIBLE_DIFFERENCE and there < CLEARLY_BETTER * here:
-                return f"fit {'one frame later' if offset > 0 else 'one frame earlier'} better ({there:.1f} against {here:.1f})"
+        for offset, (base, shifted) in self._sums.items():
+            if math.isfinite(base) and base > VISIBLE_DIFFERENCE and shifted < CLEARLY_BETTER * base:
+                return f"fit {'one frame later' if offset > 0 else 'one frame earlier'} better ({shifted:.1f} against {base:.1f})"
         return ""
 
 

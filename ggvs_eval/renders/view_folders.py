@@ -78,9 +78,9 @@ def _places(path: Path, request: FrameRequest) -> dict[Path, tuple[str, int | No
     """Return the pictures of a folder, with the view and number of those that name one of each."""
     pictures = list_images(path)
     named = places_of(path, [file.stem for file in pictures], request.views)
-    wanted = {1} if len(request.frames) > 1 else {0, 1}
+    counts = {1} if len(request.frames) > 1 else {0, 1}
     return {
-        file: (place.view, place.number) if place and place.n_numbers in wanted else None
+        file: (place.view, place.number) if place and place.n_numbers in counts else None
         for file, place in zip(pictures, named, strict=True)
     }
 
@@ -114,8 +114,8 @@ def picture_set(
 
 def placed_pictures(renders: RenderSet) -> dict[tuple[str, int], Path]:
     """(view, frame) -> the picture of it."""
-    pictures = ((view, each) for view, each in renders.views.items() if isinstance(each, PictureView))
-    return {(view, frame): file for view, each in pictures for frame, file in each.pictures.items()}
+    pictures = ((view, rendered) for view, rendered in renders.views.items() if isinstance(rendered, PictureView))
+    return {(view, frame): file for view, rendered in pictures for frame, file in rendered.pictures.items()}
 
 
 def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
@@ -174,12 +174,12 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
 def instead_of_all(path: Path, request: FrameRequest) -> str:
     """Return the same where no view is there at all."""
     present = {file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0] for file in list_entries(path)}
-    others = [name for name in request.cameras if name in present]
-    if others and present.isdisjoint(request.views):
+    sources = [name for name in request.cameras if name in present]
+    if sources and present.isdisjoint(request.views):
         return (
-            f"{path.name} has {', '.join(others)}, which are sources under this protocol; its test views are "
-            f"{', '.join(request.views)}: render these; where the method did not use {', '.join(others)}, hold them out: "
-            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(others)}"
+            f"{path.name} has {', '.join(sources)}, which are sources under this protocol; its test views are "
+            f"{', '.join(request.views)}: render these; where the method did not use {', '.join(sources)}, hold them out: "
+            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(sources)}"
         )
     hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
     if hints:
@@ -191,12 +191,12 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
     """Return the name that was probably meant to be a view's, with a remedy; empty if there is none."""
-    others = {name: shown for name, shown in names.items() if name not in request.cameras}
-    for name, shown in others.items():
+    extra_names = {name: label for name, label in names.items() if name not in request.cameras}
+    for name, label in extra_names.items():
         if name.casefold() == view.casefold():
-            return f"there is {shown}: names are case-sensitive, write {view}"
+            return f"there is {label}: names are case-sensitive, write {view}"
     number = _only_number(view)
-    alike = [shown for name, shown in others.items() if number is not None and _only_number(name) == number]
+    alike = [label for name, label in extra_names.items() if number is not None and _only_number(name) == number]
     return f"there is {alike[0]}: rename it if it is {view}" if len(alike) == 1 else ""
 
 

@@ -268,8 +268,8 @@ def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> l
     notes = [f"{counted(n_floats, 'frame')} of floats, rounded to 8 bit"] if n_floats else []
     if clipped:
         low, high = min(low for low, _ in clipped.values()), max(high for _, high in clipped.values())
-        which = f"{counted(len(clipped), 'frame')} ({as_ranges(sorted(clipped))})"
-        notes.append(f"{which} with values outside [0, 1], {low:.4g} to {high:.4g}, which are clipped")
+        frames = f"{counted(len(clipped), 'frame')} ({as_ranges(sorted(clipped))})"
+        notes.append(f"{frames} with values outside [0, 1], {low:.4g} to {high:.4g}, which are clipped")
     return notes
 
 
@@ -359,9 +359,9 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
         if not view:
             raise RenderError(f"{path}: wanted an archive called like one of {', '.join(request.views)}; rename it to <view>.npz")
         stacks, unexpected = {view: ArrayStack(path, OWN_RENDERS)}, []
-    elif not _of_views(path, ARRAY_SUFFIXES, request) and (whole := _stack_of_all(path, request)):
-        stacks, unexpected = {view: ArrayStack(whole, place=place) for place, view in enumerate(request.views)}, []
-        notes += (f"{whole.name}: its {len(stacks)} stacks are taken for {', '.join(stacks)}, the protocol's order of views",)
+    elif not _of_views(path, ARRAY_SUFFIXES, request) and (file := _stack_of_all(path, request)):
+        stacks, unexpected = {view: ArrayStack(file, place=place) for place, view in enumerate(request.views)}, []
+        notes += (f"{file.name}: its {len(stacks)} stacks are taken for {', '.join(stacks)}, the protocol's order of views",)
     elif path.is_file():
         members = npz_members(path)
         twice = sorted({member for member in members if members.count(member) > 1})
@@ -373,12 +373,12 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
         stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, request).items()}
         unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, request))
     counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
-    found = _found(path, counted, unexpected, ARRAY_NOTE, request)
+    renders = _found(path, counted, unexpected, ARRAY_NOTE, request)
     for view, stack in stacks.items():
-        rendered = found.views.get(view)
+        rendered = renders.views.get(view)
         if stack.member == OWN_RENDERS and isinstance(rendered, StreamView):
             notes += (_compare_truth(stack, rendered.indices, view, request),)
-    return replace(found, notes=notes)
+    return replace(renders, notes=notes)
 
 
 def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, request: FrameRequest) -> str:
@@ -389,7 +389,7 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
     """
     truth, numbers = ArrayStack(stack.path, OWN_TRUTH), {index: number for number, index in indices.items()}
     if (truth.n_frames, truth.size) != (stack.n_frames, stack.size):
-        sizes = [f"{one.n_frames} frames of {one.size[0]} x {one.size[1]}" for one in (stack, truth)]
+        sizes = [f"{array.n_frames} frames of {array.size[0]} x {array.size[1]}" for array in (stack, truth)]
         raise RenderError(
             f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} of one shape, got {' and '.join(sizes)}; save again"
         )
@@ -426,7 +426,6 @@ def _found(
 
 
 def _stack(file: Path) -> ArrayStack:
-    """Return the array of a file that is one view's."""
     if file.suffix.lower() == ".npy":
         return ArrayStack(file)
     members = npz_members(file)
@@ -439,7 +438,6 @@ def _stack(file: Path) -> ArrayStack:
 
 
 def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:
-    """Return view -> its file."""
     by_view: dict[str, Path] = {}
     for view, file in _by_view(path, suffixes, request):
         if view in by_view:
@@ -461,5 +459,5 @@ def _of_views(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> l
 
 
 def _unexpected_files(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[str]:
-    used = _of_views(path, suffixes, request)
-    return [file.name for file in list_files(path, suffixes) if file not in used]
+    view_files = _of_views(path, suffixes, request)
+    return [file.name for file in list_files(path, suffixes) if file not in view_files]

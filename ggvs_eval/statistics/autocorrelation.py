@@ -115,23 +115,23 @@ class ErrorOfMean:
         return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
 
 
-def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED, claim: str = "clip too short") -> str:
+def describe_short(frames: int, worth: float, least: float = FEWEST_CALLED, claim: str = "clip too short") -> str:
     """State in words why a clip is too short for a verdict; empty if it is not.
 
     Args:
         frames: of the clip.
         worth: independent frames that would be as certain.
-        wanted: as many as a verdict needs.
+        least: as many as a verdict needs.
         claim: what follows from it.
 
     Examples:
         >>> describe_short(23, 2.4)
         'clip too short: 2 independent frames, 10 needed'
     """
-    if worth >= wanted:
+    if worth >= least:
         return ""
     independent = max(1, min(frames, math.floor(worth)))
-    return f"{claim}: {counted(independent, 'independent frame')}, {wanted:g} needed"
+    return f"{claim}: {counted(independent, 'independent frame')}, {least:g} needed"
 
 
 def correlation_posterior(series: ArrayLike) -> Posterior:

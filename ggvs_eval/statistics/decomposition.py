@@ -40,13 +40,13 @@ class TwoWay:
         mean: grand mean, the bias of an error; unit of the metric.
         view: (V,), sums to 0.
         time: (T,), sums to 0.
-        rest: (V, T), the interaction and noise; each row and each column sums to 0.
+        residual: (V, T), the interaction and noise; each row and each column sums to 0.
     """
 
     mean: float
     view: Array
     time: Array
-    rest: Array
+    residual: Array
     views: tuple[str, ...]
     frames: tuple[int, ...]
 
@@ -63,7 +63,7 @@ class TwoWay:
     @property
     def ss_rest(self) -> float:
         """Sum over all cells of the squared rest."""
-        return float(np.square(self.rest).sum())
+        return float(np.square(self.residual).sum())
 
     def shares(self) -> dict[str, float]:
         """Part of the variance about the grand mean that is due to ``view``, ``time`` and ``rest``; 0 if nothing varies."""
@@ -73,13 +73,13 @@ class TwoWay:
 
     def sdt(self, ddof: int = 1) -> float:
         """Return the mean over the views of the standard deviation over time, from the parts alone."""
-        _check_count(self.rest.shape[1], ddof, "frames")
-        return float((self.time + self.rest).std(axis=1, ddof=ddof).mean())
+        _check_count(self.residual.shape[1], ddof, "frames")
+        return float((self.time + self.residual).std(axis=1, ddof=ddof).mean())
 
     def sdv(self, ddof: int = 1) -> float:
         """Return the mean over the frames of the standard deviation over views, from the parts alone."""
-        _check_count(self.rest.shape[0], ddof, "views")
-        return float((self.view[:, None] + self.rest).std(axis=0, ddof=ddof).mean())
+        _check_count(self.residual.shape[0], ddof, "views")
+        return float((self.view[:, None] + self.residual).std(axis=0, ddof=ddof).mean())
 
 
 def decompose(values: ArrayLike, views: tuple[str, ...] = (), frames: tuple[int, ...] = ()) -> TwoWay:
@@ -98,9 +98,9 @@ def decompose(values: ArrayLike, views: tuple[str, ...] = (), frames: tuple[int,
         raise ResultsError(f"a decomposition wants every cell, row {view} column {frame} is {matrix[view, frame]}; provide it")
     mean = float(matrix.mean())
     view, time = matrix.mean(axis=1) - mean, matrix.mean(axis=0) - mean
-    rest = matrix - mean - view[:, None] - time
+    residual = matrix - mean - view[:, None] - time
     rows, columns = views or tuple(map(str, range(len(view)))), frames or tuple(range(len(time)))
-    return TwoWay(mean, view, time, rest, rows, columns)
+    return TwoWay(mean, view, time, residual, rows, columns)
 
 
 def decompose_metric(
@@ -118,9 +118,9 @@ def decompose_metric(
     return decompose(panel.values, views, panel.frames)
 
 
-def _check_count(count: int, ddof: int, what: str) -> None:
+def _check_count(count: int, ddof: int, subject: str) -> None:
     if count <= ddof:
-        raise ResultsError(f"a deviation over {what} with ddof={ddof} needs at least {ddof + 1}, got {count}")
+        raise ResultsError(f"a deviation over {subject} with ddof={ddof} needs at least {ddof + 1}, got {count}")
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
     return make_panel(table, f"{metric} of {label_of(method, variant)} in {scene}")
 
 
-def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
+def make_panel(cells: "pd.DataFrame", subject: str) -> Panel:
     """Arrange the rows of one metric, method and scene as views x frames; the order of the rows does not matter.
 
     Args:
@@ -168,22 +168,22 @@ def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
         ResultsError: no rows, two values for one cell, a missing cell, or a value that is not finite.
     """
     if cells.empty:
-        raise ResultsError(f"{what}: no values in the results; score it")
+        raise ResultsError(f"{subject}: no values in the results; score it")
     views, rows = np.unique(cells["view"].to_numpy(dtype=object, na_value="").astype(str), return_inverse=True)
     frames, columns = np.unique(cells["frame"].to_numpy(), return_inverse=True)
     counts = np.zeros((len(views), len(frames)), int)
     np.add.at(counts, (rows, columns), 1)
     if counts.max() > 1:
-        raise ResultsError(f"{what}: two values for one view and frame; score again into a new folder")
+        raise ResultsError(f"{subject}: two values for one view and frame; score again into a new folder")
     values = np.full(counts.shape, np.nan)
     values[rows, columns] = cells["value"].to_numpy(dtype=np.float64)
     names = tuple(str(view) or None for view in views)  # None of the whole rig
     panel = Panel(names, tuple(int(frame) for frame in frames), values)
-    _check_cells(panel, counts > 0, what)
+    _check_cells(panel, counts > 0, subject)
     return panel
 
 
-def _check_cells(panel: Panel, present: NDArray[np.bool_], what: str) -> None:
+def _check_cells(panel: Panel, present: NDArray[np.bool_], subject: str) -> None:
     """Refuse a panel with holes, naming the first ones."""
     holes = ~np.isfinite(panel.values)
     if not holes.any():
@@ -194,5 +194,5 @@ def _check_cells(panel: Panel, present: NDArray[np.bool_], what: str) -> None:
     named = ", ".join(f"{panel.views[row] or 'the rig'} frame {panel.frames[column]}" for row, column in cells)
     more = f" and {len(missing or bad) - NAMED} more" if len(missing or bad) > NAMED else ""
     if missing:
-        raise ResultsError(f"{what}: wanted a value for each view and frame, {named}{more} missing; score all frames of each")
-    raise ResultsError(f"{what}: wanted finite values, {named}{more} not finite; omit this metric")
+        raise ResultsError(f"{subject}: wanted a value for each view and frame, {named}{more} missing; score all frames of each")
+    raise ResultsError(f"{subject}: wanted finite values, {named}{more} not finite; omit this metric")

@@ -46,10 +46,10 @@ def measure_drift(series: Array, level: float = LEVEL) -> Drift:
     times = np.arange(len(series)) - (len(series) - 1) / 2
     squares = float(times @ times)
     slope = float(times @ series) / squares
-    rest = correlation_posterior(series - series.mean() - slope * times)
-    worth = float(rest.worth)
-    scales = rest.scales * np.sqrt(len(series) / squares * max(worth - 1.0, 1.0) / max(worth - 2.0, 1.0))
-    half = ErrorOfMean(rest.weights, scales, max(worth - 2.0, 1.0)).half_width(1 - level)
+    posterior = correlation_posterior(series - series.mean() - slope * times)
+    worth = float(posterior.worth)
+    scales = posterior.scales * np.sqrt(len(series) / squares * max(worth - 1.0, 1.0) / max(worth - 2.0, 1.0))
+    half = ErrorOfMean(posterior.weights, scales, max(worth - 2.0, 1.0)).half_width(1 - level)
     if worth >= FEWEST and abs(slope) <= CLEAR * half:
         worth = min(worth, float(correlation_posterior(series).worth))
     return Drift(slope, half, describe_short(len(series), worth, FEWEST))

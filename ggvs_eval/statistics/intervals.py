@@ -37,7 +37,7 @@ class Interval:
         note: what the interval takes as given (``given this scene, these 3 views``; empty if nothing), and that a clip is too
             short for it; or why there is none.
         is_short: whether the clip is too short for the interval: it covers less than its level says.
-        given: what the interval takes as given, as ``these 3 views``.
+        conditions: what the interval takes as given, as ``these 3 views``.
     """
 
     value: float
@@ -45,7 +45,7 @@ class Interval:
     high: float | None
     note: str
     is_short: bool = False
-    given: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
 
     @property
     def half_width(self) -> float | None:
@@ -59,17 +59,17 @@ class Spread:
 
     Attributes:
         parts: independent errors that add up: of each scene over time, and over views; or over scenes.
-        given: what was taken as it is.
+        conditions: what was taken as it is.
     """
 
     value: float
     parts: tuple[ErrorOfMean, ...]
-    given: tuple[str, ...]
+    conditions: tuple[str, ...]
 
     @property
     def note(self) -> str:
         """Caveats in words: assumptions, and a clip that is too short; empty if there are none."""
-        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
+        return "; ".join(filter(None, (f"given {', '.join(self.conditions)}" if self.conditions else "", self.short)))
 
     @property
     def short(self) -> str:
@@ -78,7 +78,6 @@ class Spread:
 
     @cached_property
     def _greatest(self) -> ErrorOfMean | None:
-        """The greatest of its errors; None if there is none."""
         varying = [part for part in self.parts if part.scales.any()]
         if len(varying) == 1:
             return varying[0]
@@ -120,8 +119,8 @@ class Spread:
 
 def typical_worth(spreads: Iterable[Spread]) -> float:
     """Return the geometric mean of the independent frames that a clip is worth by several numbers; infinite if none tells."""
-    known = [spread.worth for spread in spreads if math.isfinite(spread.worth)]
-    return float(np.exp(np.mean(np.log(known)))) if known else math.inf
+    worths = [spread.worth for spread in spreads if math.isfinite(spread.worth)]
+    return float(np.exp(np.mean(np.log(worths)))) if worths else math.inf
 
 
 def intervals(results: Results, metric: str, dataset: str) -> dict[str, Interval]:
@@ -145,7 +144,7 @@ def table_intervals(table: PooledTable) -> dict[str, Interval]:
                 raise ResultsError(table.no_interval)
             spread = measure_spread(table.scenes_of(label))
             half = spread.half_width()
-            bounded[label] = Interval(value, value - half, value + half, spread.note, bool(spread.short), spread.given)
+            bounded[label] = Interval(value, value - half, value + half, spread.note, bool(spread.short), spread.conditions)
         except ResultsError as refusal:
             bounded[label] = Interval(value, None, None, str(refusal))
     return bounded
@@ -165,10 +164,10 @@ def measure_spread(scenes: Sequence[PooledScene]) -> Spread:
     if len(scenes) >= FEWEST:
         return Spread(value, (ErrorOfMean.of_sample(numbers),), ())
     parts = tuple(part for scene in scenes for part in _errors_of_scene(scene, len(scenes)))
-    given = ["this scene" if len(scenes) == 1 else f"these {len(scenes)} scenes"]
+    conditions = ["this scene" if len(scenes) == 1 else f"these {len(scenes)} scenes"]
     for scene in scenes:
-        given += [] if _samples_views(scene) or scene.views == (None,) else [f"these {len(scene.views)} views"]
-    return Spread(value, parts, tuple(dict.fromkeys(given)))
+        conditions += [] if _samples_views(scene) or scene.views == (None,) else [f"these {len(scene.views)} views"]
+    return Spread(value, parts, tuple(dict.fromkeys(conditions)))
 
 
 def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
@@ -218,8 +217,8 @@ def _check_enough(scene: PooledScene, by_view: bool, by_time: bool) -> None:
         return
     if scene.frames[0] >= 0:
         raise ResultsError("1 frame; an interval needs 2")
-    what = "one value for the whole rig" if scene.views == (None,) else f"one value for each of {len(scene.views)} views"
-    raise ResultsError(f"{what}; an interval needs values along time, or {FEWEST} views")
+    contents = "one value for the whole rig" if scene.views == (None,) else f"one value for each of {len(scene.views)} views"
+    raise ResultsError(f"{contents}; an interval needs values along time, or {FEWEST} views")
 
 
 def _influence(scene: PooledScene, even: Array, pool: Callable[[Array], Array]) -> Array:

@@ -137,15 +137,15 @@ class Judgement:
         """Labels of the best and of what is not worse; none if that is undecided, or would be every method."""
         if self.undecided:
             return frozenset()
-        level = {self.best, *(label for label, one in self.comparisons.items() if one.outcome in NOT_WORSE)}
+        level = {self.best, *(label for label, comparison in self.comparisons.items() if comparison.outcome in NOT_WORSE)}
         return frozenset(level) if len(level) <= len(self.comparisons) else frozenset()
 
     def interval(self, label: str) -> Interval | None:
         """Return the interval of a method; its note also says why it was not compared with the best."""
-        interval, one = self.intervals.get(label), self.comparisons.get(label)
-        if interval is None or one is None or one.p_value is not None or one.note == interval.note:
+        interval, comparison = self.intervals.get(label), self.comparisons.get(label)
+        if interval is None or comparison is None or comparison.p_value is not None or comparison.note == interval.note:
             return interval
-        note = "; ".join(filter(None, (interval.note, f"not compared with the best: {one.note}")))
+        note = "; ".join(filter(None, (interval.note, f"not compared with the best: {comparison.note}")))
         return replace(interval, note=note)
 
 
@@ -175,21 +175,20 @@ class Standings:
             What the table has said already stays so. Further comparisons are decided together with all of the table, as if it
             had made them too.
         """
-        known: dict[Pair, Comparison] = {}
+        comparisons: dict[Pair, Comparison] = {}
         further: dict[Pair, Comparison] = {}
         for pair in pairs:
             turned = Pair(pair.metric, pair.second, pair.first)
             if pair in self.family:
-                known[pair] = self.family[pair]
+                comparisons[pair] = self.family[pair]
             elif turned in self.family:
-                known[pair] = self.family[turned].reversed
+                comparisons[pair] = self.family[turned].reversed
             else:
                 further |= self._compare(pair)
         everything = decide({**self.family, **further}) if further else {}
-        return known | {pair: everything[pair] for pair in further}
+        return comparisons | {pair: everything[pair] for pair in further}
 
     def _compare(self, pair: Pair) -> dict[Pair, Comparison]:
-        """Compare two methods that have a number."""
         table = pool_table(self.results, pair.metric, self.dataset)
         if any(math.isnan(table.values.get(label, math.nan)) for label in (pair.first, pair.second)):
             return {}
@@ -247,14 +246,14 @@ def _outcome(difference: float, p_value: float | None, short: str, higher_is_bet
     return "better" if (difference > 0) == higher_is_better else "worse"
 
 
-def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own: Collection[str] = ()) -> Standings:
+def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own_labels: Collection[str] = ()) -> Standings:
     """Find the best method in each metric of a table and judge every other one against it.
 
     Args:
         results: of all methods; those that are set aside, partial or faulty, are not ranked.
         rankings: of the metrics of the table, shown or not: they are one family.
-        own: labels of one method and its variants. A method does not compete with its own ablations: the plainest represents
-            all, unless these alone were measured.
+        own_labels: labels of one method and its variants. A method does not compete with its own ablations: the plainest
+            represents all, unless these alone were measured.
 
     Returns:
         Judgements of the metrics in which any method has a number.
@@ -263,7 +262,7 @@ def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own: Coll
         A metric that sees no truth prefers what changes little, and blur changes least. Numbers better than those of the captured
         images are therefore not ranked; up to there a better number is nearer to them.
     """
-    whole = without_labels(results, results.set_aside)
+    complete_results = without_labels(results, results.set_aside)
     judgements: dict[str, Judgement] = {}
     pairs: dict[Pair, Comparison] = {}
     for ranking in rankings:
@@ -271,18 +270,18 @@ def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own: Coll
         rows = results.table[(results.table["metric"] == metric) & (results.table["dataset"] == dataset)]
         if rows["value"].isna().all():
             continue
-        table = pool_table(whole, metric, dataset)
+        table = pool_table(complete_results, metric, dataset)
         values = {label: value for label, value in table.values.items() if not math.isnan(value)}
-        unranked = {**ranking.incomparable, **_elsewhere(whole, metric, dataset)}
+        unranked = {**ranking.incomparable, **_elsewhere(complete_results, metric, dataset)}
         if ranking.captured is not None:
             unranked |= {label: BEYOND for label, value in values.items() if sign * value > sign * ranking.captured}
         ranked = [label for label in values if label not in unranked]
-        plainest, variants = _variants(ranked, own)
+        plainest, variants = _variants(ranked, own_labels)
         contenders = [label for label in ranked if label not in variants]
         best = max(contenders, key=lambda label: sign * values[label], default="")  # of equals the first
-        wanted = [Pair(metric, label, best) for label in ranked if label != best]
-        wanted += [Pair(metric, label, plainest) for label in variants]
-        pairs |= {pair: _compare(table, pair.first, pair.second, ranking.higher_is_better) for pair in wanted}
+        new_pairs = [Pair(metric, label, best) for label in ranked if label != best]
+        new_pairs += [Pair(metric, label, plainest) for label in variants]
+        pairs |= {pair: _compare(table, pair.first, pair.second, ranking.higher_is_better) for pair in new_pairs}
         judgements[metric] = Judgement(
             best=best,
             plainest=plainest,
@@ -296,11 +295,11 @@ def judge(results: Results, rankings: Sequence[Ranking], dataset: str, own: Coll
     return Standings(results, dataset, {ranking.metric: ranking for ranking in rankings}, decided, family)
 
 
-def _variants(ranked: Sequence[str], own: Collection[str]) -> tuple[str, list[str]]:
+def _variants(ranked: Sequence[str], own_labels: Collection[str]) -> tuple[str, list[str]]:
     """Return the plainest of one method's labels, and the others that it represents where there are others to compete with."""
-    mine = [label for label in ranked if label in own]
-    plainest = min(mine, key=lambda label: ("+" in label, len(label)), default="")
-    return plainest, [] if len(mine) == len(ranked) else [label for label in mine if label != plainest]
+    labels = [label for label in ranked if label in own_labels]
+    plainest = min(labels, key=lambda label: ("+" in label, len(label)), default="")
+    return plainest, [] if len(labels) == len(ranked) else [label for label in labels if label != plainest]
 
 
 def _elsewhere(results: Results, metric: str, dataset: str) -> dict[str, str]:
@@ -311,7 +310,7 @@ def _elsewhere(results: Results, metric: str, dataset: str) -> dict[str, str]:
         for (method, variant), rows in table.groupby(["method", "variant"], sort=False)
     }
     everywhere = set().union(*places.values())
-    return {label: ELSEWHERE for label, own in places.items() if own != everywhere}
+    return {label: ELSEWHERE for label, cells in places.items() if cells != everywhere}
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

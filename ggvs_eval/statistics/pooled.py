@@ -47,15 +47,15 @@ class PooledScene:
         views, frames = len(self.views), len(self.frames)
         return np.full((1, views), 1.0 / views), np.full((1, frames), 1.0 / frames)
 
-    def minus(self, other: "PooledScene") -> "PooledScene":
+    def minus(self, subtrahend: "PooledScene") -> "PooledScene":
         """Return the difference to another method under the same weights."""
-        if (self.views, self.frames) != (other.views, other.frames):
-            sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
+        if (self.views, self.frames) != (subtrahend.views, subtrahend.frames):
+            sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, subtrahend))
             raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods on the same frames")
-        return replace(self, pool=lambda v, f: self.pool(v, f) - other.pool(v, f))
+        return replace(self, pool=lambda v, f: self.pool(v, f) - subtrahend.pool(v, f))
 
 
-def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
+def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, subject: str) -> PooledScene:
     """Find out how a metric's number on a scene is made of views and frames.
 
     Args:
@@ -66,19 +66,20 @@ def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Poolin
         ResultsError: missing or infinite cells, or a number in the table that its parts do not give.
     """
     if metric not in cells:
-        raise ResultsError(f"{metric} of {what}: no values in the results; score it")
+        raise ResultsError(f"{metric} of {subject}: no values in the results; score it")
     if absent := [part for part in pooling.parts if part not in cells]:
-        raise ResultsError(f"{metric} of {what}: no {', '.join(absent)} per view and frame in the results; score again")
-    panels = [make_panel(cells[part], f"{part} of {what}") for part in pooling.parts or (metric,)]
+        raise ResultsError(f"{metric} of {subject}: no {', '.join(absent)} per view and frame in the results; score again")
+    panels = [make_panel(cells[part], f"{part} of {subject}") for part in pooling.parts or (metric,)]
     first = panels[0]
     if any((panel.views, panel.frames) != (first.views, first.frames) for panel in panels):
-        raise ResultsError(f"{metric} of {what}: its parts are of different views or frames; score again")
+        raise ResultsError(f"{metric} of {subject}: its parts are of different views or frames; score again")
     pool = pooling.pool(*(panel.values for panel in panels))
     pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given, pooling.squares)
     if pooling.parts:
-        from_table, from_parts = float(make_panel(cells[metric], f"{metric} of {what}").values.mean(axis=1).mean()), pooled.value
+        from_table = float(make_panel(cells[metric], f"{metric} of {subject}").values.mean(axis=1).mean())
+        from_parts = pooled.value
         if not abs(from_table - from_parts) <= SAME * max(abs(from_table), abs(from_parts)):  # NaN is refused too
-            raise ResultsError(f"{what}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score again")
+            raise ResultsError(f"{subject}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score again")
     return pooled
 
 
@@ -136,8 +137,10 @@ def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) ->
     by_label: dict[str, dict[str, dict[str, pd.DataFrame]]] = {}
     for (method, variant, scene, name), rows in table.groupby(["method", "variant", "scene", "metric"], sort=False):
         by_label.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[str(name)] = rows
-    measured = {label: {scene: names for scene, names in scenes.items() if metric in names} for label, scenes in by_label.items()}
-    return {label: scenes for label, scenes in measured.items() if scenes}
+    scenes_of = {
+        label: {scene: names for scene, names in scenes.items() if metric in names} for label, scenes in by_label.items()
+    }
+    return {label: scenes for label, scenes in scenes_of.items() if scenes}
 
 
 def _mean(by_scene: "Mapping[str, Mapping[str, pd.DataFrame]]", metric: str) -> float:

@@ -29,7 +29,6 @@ class Pooling:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse an unknown rule."""
         if self.rule not in RULES:
             raise ResultsError(f"wanted a pooling rule of {', '.join(RULES)}, got {self.rule!r}; use the version that scored it")
 

@@ -61,8 +61,8 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
     of_clips = np.array([np.mean([rank_correlation(strengths, row) for row in rows]) for rows in worse.values()])
     if len(of_clips) < 2:
         return Answer(float(of_clips.mean()), None, None, None, len(of_clips))
-    drawn = np.random.default_rng(seed).integers(len(of_clips), size=(DRAWS, len(of_clips)))
-    low, high = np.quantile(of_clips[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    draws = np.random.default_rng(seed).integers(len(of_clips), size=(DRAWS, len(of_clips)))
+    low, high = np.quantile(of_clips[draws].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     rows = np.array([row for of_clip in worse.values() for row in of_clip], dtype=np.float64)
     return Answer(float(of_clips.mean()), float(low), float(high), _least(strengths, rows), len(of_clips))
 

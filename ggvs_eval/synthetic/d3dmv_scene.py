@@ -86,8 +86,12 @@ def encode_lzf(content: NDArray[np.uint8]) -> bytes:
     literals[..., 0], literals[..., 1:] = LITERALS - 1, blocks.reshape(count, runs, LITERALS)
     tokens = literals.reshape(count, runs * (1 + LITERALS))
     tokens[repeats, : len(REPEAT)] = REPEAT
-    used = np.ones(tokens.shape, bool)
-    used[repeats, len(REPEAT) :] = False
-    rest = content[count * BLOCK :]
-    tail = [bytes([len(part) - 1]) + part.tobytes() for part in np.split(rest, range(LITERALS, len(rest), LITERALS)) if len(part)]
-    return tokens[used].tobytes() + b"".join(tail)
+    mask = np.ones(tokens.shape, bool)
+    mask[repeats, len(REPEAT) :] = False
+    remainder = content[count * BLOCK :]
+    tail = [
+        bytes([len(part) - 1]) + part.tobytes()
+        for part in np.split(remainder, range(LITERALS, len(remainder), LITERALS))
+        if len(part)
+    ]
+    return tokens[mask].tobytes() + b"".join(tail)

@@ -135,9 +135,9 @@ def write_quick(folder: Path) -> Path:
         numbers = protocol.frames.numbers
         for view in protocol.views.test:
             images = list(VideoFrames(RENDERS / f"{view}.mp4").frames(numbers.start - 1, numbers.stop))
-            for frame, before, now in zip(numbers, images, images[1:], strict=False):
+            for frame, before, image in zip(numbers, images, images[1:], strict=False):
                 write_image(frame_path(unfinished / LATE / view, frame), before)
-                write_image(frame_path(unfinished / FIXED / view, frame), now)
+                write_image(frame_path(unfinished / FIXED / view, frame), image)
     return folder
 
 

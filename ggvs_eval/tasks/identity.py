@@ -35,10 +35,10 @@ def code_of(*names: str) -> str:
         names: packages, which are rooms, or modules, which mean the rooms that they are in;
             a module of a plug-in counts with its whole file or package.
     """
-    ours = {name for name in names if name.partition(".")[0] == PACKAGE}
-    ours.update(room for room in COMMON if importlib.util.find_spec(room))
-    rooms = sorted({room for name in ours for room in rooms_of(name)})
-    plugins = sorted(plugin_digest(name) for name in {*names} - ours)
+    modules = {name for name in names if name.partition(".")[0] == PACKAGE}
+    modules.update(room for room in COMMON if importlib.util.find_spec(room))
+    rooms = sorted({room for name in modules for room in rooms_of(name)})
+    plugins = sorted(plugin_digest(name) for name in {*names} - modules)
     return digest_values(version("ggvs-eval"), *map(_room_digest, rooms), *plugins)
 
 

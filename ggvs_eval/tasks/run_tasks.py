@@ -16,7 +16,7 @@ from ggvs_eval.tasks.task_list import TaskList
 class Attempt:
     """How many tasks were run to their end, and why others were not; those that were done before do not count."""
 
-    done: int
+    n_done: int
     failures: tuple[Failure, ...]
 
 
@@ -36,12 +36,12 @@ def run_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_li
     """
     attempt = attempt_tasks(tasks, workers, description, task_list)
     if not attempt.failures:
-        return attempt.done
+        return attempt.n_done
     broken = [failure.traceback for failure in attempt.failures if failure.traceback]
     listed = "; ".join(map(str, attempt.failures))
     if broken:
         raise BrokenTaskError("\n".join([listed, *broken]))
-    raise RenderError(f"{len(attempt.failures)} of {attempt.done + len(attempt.failures)} jobs failed: {listed}")
+    raise RenderError(f"{len(attempt.failures)} of {attempt.n_done + len(attempt.failures)} jobs failed: {listed}")
 
 
 def attempt_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None) -> Attempt:
@@ -78,7 +78,6 @@ def make_files(tasks: Sequence[AnyTask], workers: Workers, description: str) -> 
 
 
 def _run_one(batch: Sequence[Task]) -> Failure | None:
-    """Run tasks that are made together; give back why they failed, if they did."""
     try:
         run_batch(batch)
     except Exception as error:
@@ -91,6 +90,6 @@ def _evaluate(batch: Sequence[Task], outcome: Failure | LostJob | None) -> Failu
     task = batch[0]
     if isinstance(outcome, LostJob):
         return Failure(task.name, outcome.reason)
-    if outcome is None and not all(made.is_done() for made in batch):
+    if outcome is None and not all(member.is_done() for member in batch):
         return Failure(task.name, f"it ended, and {task.batch} is not here: workers must see the same folders")
     return outcome

@@ -189,7 +189,6 @@ class FileTask(Result):
     addressed: bool = False
 
     def __post_init__(self) -> None:
-        """Count the files."""
         object.__setattr__(self, "count", len(self.files))
 
     @cached_property
@@ -290,9 +289,9 @@ def drop_passing(tasks: Sequence[AnyTask]) -> None:
     """Remove the files that only other tasks need, once all of these are done."""
     if left_of(tasks):
         return
-    wanted = {task.folder / name for task in tasks if isinstance(task, FileTask) for name in task.files}
+    own_files = {task.folder / name for task in tasks if isinstance(task, FileTask) for name in task.files}
     needs = [need for task in tasks for need in task.needs if isinstance(need, FileTask) and need.passes]
-    for file in {need.folder / name for need in needs for name in need.files} - wanted:
+    for file in {need.folder / name for need in needs for name in need.files} - own_files:
         with suppress(OSError):  # a disk that is read-only keeps it
             file.unlink()
 

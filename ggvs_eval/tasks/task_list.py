@@ -38,35 +38,35 @@ class TaskList:
 
     def write(self, tasks: Sequence[Task], keep: bool = False) -> None:
         """Write the list of tasks; `keep` leaves what is there for other folders, of another shard or sweep."""
-        made = {self._relative(task.folder): vars(task.made) | {"folder": ""} for task in tasks}
+        records = {self._relative(task.folder): vars(task.made) | {"folder": ""} for task in tasks}
         if keep and self.file.is_file():
-            made = read_json(self.file)["jobs"] | made
-        write_json(self.file, {"jobs": made})
+            records = read_json(self.file)["jobs"] | records
+        write_json(self.file, {"jobs": records})
 
     def read(self) -> list[Made]:
         """Read the tasks."""
-        made = read_json(self.file)["jobs"].items()
-        return [Made(**{**about, "folder": self.root / folder}) for folder, about in made]
+        records = read_json(self.file)["jobs"].items()
+        return [Made(**{**about, "folder": self.root / folder}) for folder, about in records]
 
-    def note(self, made: Made, failure: Failure | None) -> None:
+    def note(self, result: Made, failure: Failure | None) -> None:
         """Keep why a task failed, or forget it."""
-        note = self._note(made)
+        note = self._note(result)
         if failure is None:
             note.unlink(missing_ok=True)
             return
-        write_json(note, {"sha256": made.sha256, **vars(failure)})
+        write_json(note, {"sha256": result.sha256, **vars(failure)})
 
-    def failure(self, made: Made) -> Failure | None:
+    def failure(self, result: Made) -> Failure | None:
         """Return the failure of this very task when it was last tried, or None if it did not fail."""
         try:
-            record = read_json(self._note(made))
+            record = read_json(self._note(result))
         except ResultsError:
             return None
-        same = record["sha256"] == made.sha256
-        return Failure(**{field: record[field] for field in ("name", "message", "traceback")}) if same else None
+        is_current = record["sha256"] == result.sha256
+        return Failure(**{field: record[field] for field in ("name", "message", "traceback")}) if is_current else None
 
-    def _note(self, made: Made) -> Path:
-        name = hashlib.sha256(self._relative(made.batch).encode()).hexdigest()[:16]
+    def _note(self, result: Made) -> Path:
+        name = hashlib.sha256(self._relative(result.batch).encode()).hexdigest()[:16]
         return self.root / JOBS_FOLDER / "failed" / self.stage / f"{name}.json"
 
     def _relative(self, folder: Path) -> str:

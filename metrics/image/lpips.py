@@ -142,7 +142,7 @@ def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> Lpip
 
 def _distance(maps: Sequence[NDArray[np.float32]], net: LpipsNet) -> LpipsDistance:
     """Return the distance whose maps these are."""
-    value = require_finite(sum(float(each.mean(dtype=np.float64)) for each in maps), f"LPIPS-{net}")
+    value = require_finite(sum(float(layer.mean(dtype=np.float64)) for layer in maps), f"LPIPS-{net}")
     return LpipsDistance(value, tuple(maps))
 
 
@@ -153,18 +153,18 @@ def compare_in_bands(truth: Image, renderings: Sequence[Image]) -> list[list[NDA
     """
     _require_side(truth, "vgg")
     heads: Any = load_heads("vgg")
-    halved, distances = compiled_bands([compiled_input(each) for each in (truth, *renderings)], heads)
-    theirs = compiled_layers(halved.pop(0), BANDED_LAYERS)
+    halved, distances = compiled_bands([compiled_input(image) for image in (truth, *renderings)], heads)
+    truth_layers = compiled_layers(halved.pop(0), BANDED_LAYERS)
     for maps in distances:
-        ours = compiled_layers(halved.pop(0), BANDED_LAYERS)
-        maps += [_compiled_distances(*layer) for layer in zip(ours, theirs, heads[len(maps) :], strict=True)]
+        layers = compiled_layers(halved.pop(0), BANDED_LAYERS)
+        maps += [_compiled_distances(*layer) for layer in zip(layers, truth_layers, heads[len(maps) :], strict=True)]
     return distances
 
 
 def _compiled_distances(rendered: Any, truth: Any, weights: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weighted squared difference of the unit feature vectors of two frames, (H, W)."""
-    ours, theirs = map(_as_array, (rendered, truth))
-    return _features.compare_features(ours, theirs, weights, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    features, truth_features = map(_as_array, (rendered, truth))
+    return _features.compare_features(features, truth_features, weights, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def _as_array(layer: "NDArray[np.float32] | torch.Tensor") -> NDArray[np.float32]:
@@ -177,8 +177,10 @@ def _device_distances(rendered: "torch.Tensor", truth: "torch.Tensor", weights: 
     import torch
 
     with torch.inference_mode():
-        ours, theirs = (each / (torch.linalg.vector_norm(each, dim=1, keepdim=True) + 1e-10) for each in (rendered, truth))
-        return torch.einsum("nchw,c->hw", (ours - theirs).square_(), weights).numpy(force=True)
+        features, truth_features = (
+            vectors / (torch.linalg.vector_norm(vectors, dim=1, keepdim=True) + 1e-10) for vectors in (rendered, truth)
+        )
+        return torch.einsum("nchw,c->hw", (features - truth_features).square_(), weights).numpy(force=True)
 
 
 def truth_features(truth: TruthFrame, options: MetricOptions) -> Features:

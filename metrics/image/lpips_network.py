@@ -111,7 +111,7 @@ def _heads(path: Path, net: LpipsNet, device: str) -> "list[NDArray[np.float32]]
         return heads
     import torch
 
-    return [torch.from_numpy(each).to(device) for each in heads]
+    return [torch.from_numpy(head).to(device) for head in heads]
 
 
 def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
@@ -147,14 +147,14 @@ def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
 
     levels = image if image.dtype == np.uint8 else image.astype(np.float32)
     signed = torch.from_numpy(np.ascontiguousarray(levels)).to(device).float() * (2.0 / white_level(image)) - 1.0
-    shift, scale = (torch.tensor(each, device=device) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    shift, scale = (torch.tensor(values, device=device) for values in (COLOUR_SHIFT, COLOUR_SCALE))
     return ((signed - shift) / scale).permute(2, 0, 1)
 
 
 def compiled_input(image: Image) -> NDArray[np.float32]:
     """`network_input` as `compiled_layers` takes it, with the same bits: an array, (H, W, 3)."""
     signed = image.astype(np.float32) * np.float32(2.0 / white_level(image)) - np.float32(1)
-    shift, scale = (np.array(each, np.float32) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    shift, scale = (np.array(values, np.float32) for values in (COLOUR_SHIFT, COLOUR_SCALE))
     return np.asarray((signed - shift) / scale, np.float32)
 
 
@@ -162,7 +162,7 @@ def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
     """`network_input` of a batch (B, 3, H, W) in [0, 1], through which gradients flow."""
     import torch
 
-    shift, scale = (torch.tensor(each, device=images.device)[:, None, None] for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    shift, scale = (torch.tensor(values, device=images.device)[:, None, None] for values in (COLOUR_SHIFT, COLOUR_SCALE))
     return (images * 2 - 1 - shift) / scale
 
 

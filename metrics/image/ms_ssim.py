@@ -69,10 +69,10 @@ def _centred(values: Planes, mask: Mask, shape: tuple[int, ...]) -> Planes:
     """Return the values of the windows of a scale whose centre is mostly inside, (N, 3)."""
     reach = WINDOW_PX // 2
     share = cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_AREA)
-    chosen = values[share[reach:-reach, reach:-reach] >= 0.5]
-    if not chosen.size:
+    window_values = values[share[reach:-reach, reach:-reach] >= 0.5]
+    if not window_values.size:
         raise MetricError("the region is too small, or too near the border, for a window of MS-SSIM's coarsest scales")
-    return chosen
+    return window_values
 
 
 def _blur(image: Planes) -> Planes:

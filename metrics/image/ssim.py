@@ -205,10 +205,10 @@ def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
     check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
     window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2
     inside = cv2.erode(mask.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    chosen = values[inside if variant.pads_with_zeros else inside[radius:-radius, radius:-radius]]
-    if not chosen.size:
+    window_values = values[inside if variant.pads_with_zeros else inside[radius:-radius, radius:-radius]]
+    if not window_values.size:
         raise _no_window(name)
-    return chosen
+    return window_values
 
 
 def _no_window(name: SsimName) -> MetricError:

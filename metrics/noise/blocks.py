@@ -190,14 +190,14 @@ def _along(planes: Array, axes: Array) -> Array:
     return np.einsum("ia,ij,ja->a", axes, _matrix(planes), axes)
 
 
-def octaves(measured: Array) -> Array:
+def octaves(variances: Array) -> Array:
     """Variance of each grain, (S, 3), without that of rounding: the mixture whose means over squares vary as measured, (S, 3)."""
     from scipy.optimize import nnls
 
     response = octave_responses()[0]
-    white = measured[:1] / np.array(SCALES_PX)[:, None] ** 2.0
-    weight = 1 / np.maximum(measured, np.maximum(0.1 * white, 1e-9))  # about the same relative weight for every scale
-    columns = [nnls(response * weight[:, a, None], measured[:, a] * weight[:, a], maxiter=1000)[0] for a in range(3)]
+    white = variances[:1] / np.array(SCALES_PX)[:, None] ** 2.0
+    weight = 1 / np.maximum(variances, np.maximum(0.1 * white, 1e-9))  # about the same relative weight for every scale
+    columns = [nnls(response * weight[:, a, None], variances[:, a] * weight[:, a], maxiter=1000)[0] for a in range(3)]
     octaves = np.stack(columns, axis=-1)
     octaves[0] = np.maximum(octaves[0] - ROUNDING_VARIANCE, 0)
     return octaves
@@ -217,11 +217,11 @@ def _octave_curves() -> tuple[Array, Array]:
     variances, neighbours = np.zeros((len(SCALES_PX),) * 2), np.zeros(len(SCALES_PX))
     for octave, grain in enumerate(SCALES_PX):
         impulses = np.eye(length // grain)
-        drawn = cv2.resize(impulses, (length // grain, length), interpolation=cv2.INTER_CUBIC) if grain > 1 else impulses
+        profile = cv2.resize(impulses, (length // grain, length), interpolation=cv2.INTER_CUBIC) if grain > 1 else impulses
         for index, scale in enumerate(SCALES_PX):
-            means = drawn[inner].reshape(-1, scale, drawn.shape[1]).mean(axis=1)
+            means = profile[inner].reshape(-1, scale, profile.shape[1]).mean(axis=1)
             variances[index, octave] = (means**2).sum(axis=1).mean()
-        neighbours[octave] = (drawn[inner] * drawn[inner.start + 1 : inner.stop + 1]).sum(axis=1).mean()
+        neighbours[octave] = (profile[inner] * profile[inner.start + 1 : inner.stop + 1]).sum(axis=1).mean()
     return variances, neighbours
 
 

@@ -100,11 +100,11 @@ class NoiseStream:
     def _octave(self, octave: int, height: int, width: int) -> Field:
         """Return the noise of one grain, drawn on its own coarse grid and carried over from the frame before."""
         grain = SCALES_PX[octave]
-        held = self._model.octave_held[octave].astype(np.float32)
+        persistence = self._model.octave_held[octave].astype(np.float32)
         rows, columns = -(-height // grain), -(-width // grain)
         fresh = self._random.standard_normal((rows, columns, 3), dtype=np.float32)
         before = self._held.get(octave)
-        state = fresh if before is None or not held.any() else held * before + np.sqrt(1 - held**2) * fresh
+        state = fresh if before is None or not persistence.any() else persistence * before + np.sqrt(1 - persistence**2) * fresh
         self._held[octave] = state
         mixing = self._model.axes * np.sqrt(self._model.octave_variance[octave])  # (3, 3), axis to RGB
         coarse = cv2.transform(state, mixing.astype(np.float32))
@@ -152,21 +152,25 @@ class NoiseEstimator:
         if self._frames < 2:
             raise MetricError(f"noise is a change between frames: {self._frames} frame; needs 2")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
-        used, n_blocks = self._short.n_within(limits), self._short.n_blocks
-        if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):
+        n_static, n_blocks = self._short.n_within(limits), self._short.n_blocks
+        if n_static < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):
             requirement = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to be static"
-            raise MetricError(f"noise: {requirement}, got {used} of {n_blocks}; give more frames, or a view with static content")
+            raise MetricError(
+                f"noise: {requirement}, got {n_static} of {n_blocks}; give more frames, or a view with static content"
+            )
         slow = self._long if self._long.n_within(limits) >= MIN_BLOCKS else self._short
-        return self._model(slow, limits, used / n_blocks)
+        return self._model(slow, limits, n_static / n_blocks)
 
     def _model(self, slow: "ChangeTable", limits: NDArray[np.int64], static_share: float) -> NoiseModel:
         _, axes = np.linalg.eigh(slow.covariance(limits))
         changing = octaves(self._short.variances(limits, axes))
         variance = np.maximum(octaves(slow.variances(limits, axes)), changing)
         with np.errstate(divide="ignore", invalid="ignore"):
-            held = np.where(variance > 0, 1 - changing / variance, 0.0)
+            persistence = np.where(variance > 0, 1 - changing / variance, 0.0)
         sigma = np.sqrt(np.maximum(slow.variance_by_level(limits) - ROUNDING_VARIANCE, 0))
-        return NoiseModel(level_centres(), sigma, axes, variance, np.clip(held, 0.0, MAX_HELD), float(static_share), self._frames)
+        return NoiseModel(
+            level_centres(), sigma, axes, variance, np.clip(persistence, 0.0, MAX_HELD), float(static_share), self._frames
+        )
 
 
 def estimate_noise(frames: Iterable[Image8]) -> NoiseModel:

@@ -40,13 +40,13 @@ class CleanFrame(NamedTuple):
 
     Attributes:
         mean: the clean values, (H, W, 3), grey levels of 255, not rounded.
-        shown: the same as a rendering shows it: whole grey levels, still where it is static.
+        display: the same as a rendering shows it: whole grey levels, still where it is static.
         averaged: pixels whose value is an average over time, (H, W, 1).
         strength: local standard deviation of the noise over that of the model, (H, W, 1).
     """
 
     mean: Field
-    shown: Field
+    display: Field
     averaged: NDArray[np.bool_]
     strength: Field
 
@@ -73,7 +73,7 @@ def clean_frames(
     """
     rows, columns = (side // BLOCK_PX for side in background.shape[:2])
     age = np.full((rows, columns), min(noise.n_frames, MEMORY_FRAMES), np.float32)
-    shown, strength = np.rint(background), np.ones_like(age)
+    display, strength = np.rint(background), np.ones_like(age)
     for before, frame, after in _with_neighbours(frames):
         residual = frame - background
         variance = block_means(noise.sigma_at(background) ** 2).mean(axis=-1) + ROUNDING_VARIANCE + coding_variance
@@ -82,9 +82,9 @@ def clean_frames(
         strength = np.where(still, strength + (np.clip(energy, 0, 4) - strength) * np.float32(0.2), strength)
         settled = still & (age >= MIN_AGE_FRAMES)
         averaged = _to_pixels(settled, frame.shape)
-        shown = np.where(np.abs(background - shown) > STEP_255, np.rint(background), shown)
+        display = np.where(np.abs(background - display) > STEP_255, np.rint(background), display)
         moving = _clean_moving(frame, (before, after), ~settled, variance, noise)
-        mean, steady = (np.where(averaged, still_value, moving) for still_value in (background, shown))
+        mean, steady = (np.where(averaged, still_value, moving) for still_value in (background, display))
         yield frame, CleanFrame(mean, steady, averaged, _to_pixels(np.sqrt(strength), frame.shape))
         age = np.where(still, np.minimum(age + 1, MEMORY_FRAMES), 1)
         background = background + residual / _to_pixels(age, frame.shape)
@@ -113,13 +113,13 @@ def _clean_moving(
     total, count = frame.astype(np.float32), np.ones(blocks.shape, np.float32)
     for side in neighbours:
         unchanged = blocks
-        for other in side:
-            change = cv2.subtract(other, frame, dtype=cv2.CV_32F)
+        for neighbour in side:
+            change = cv2.subtract(neighbour, frame, dtype=cv2.CV_32F)
             energy = block_means(change * change).mean(axis=-1) / (2 * variance)
             unchanged = unchanged & _still(np.asarray(energy, np.float32))
             if not unchanged.any():
                 break
-            total += np.where(_to_pixels(unchanged, frame.shape), other, np.float32(0))
+            total += np.where(_to_pixels(unchanged, frame.shape), neighbour, np.float32(0))
             count += unchanged
     enough = _to_pixels(count >= MIN_AGE_FRAMES, frame.shape)
     return np.where(enough, total / _to_pixels(count, frame.shape), _smoothed(frame, noise.sigma_at(frame)))
@@ -236,8 +236,8 @@ class Recorder:
     def _clean(self) -> Iterator[CleanFrame]:
         variance = STILL_STEPS * self._coding.step_255**2 / 12
         for _, clean in clean_frames(self._frames(), self.noise, self._background, variance):
-            shown, mean = with_colour_detail(clean.shown), with_colour_detail(clean.mean)
-            yield clean._replace(shown=shown, mean=mean)
+            display, mean = with_colour_detail(clean.display), with_colour_detail(clean.mean)
+            yield clean._replace(display=display, mean=mean)
 
     def film(self, number: int, sigma_255: float) -> VideoFrames:
         """Recording of that number with noise of this deviation; other numbers have other noise."""

@@ -109,9 +109,9 @@ def _upright_lines(smooth: Array32, gradient: Array32, shear: int, limits: tuple
 
 def _pair_tensors(smooth: Array32, gradient: Array32, shear: int) -> tuple[Array32, Array32, Array32]:
     """xx, xv, vv of poses v and v + 1 of the sheared EPI, each (V - 1, W - |shear|), by the column at pose v."""
-    here, there = _shifted(-shear), _shifted(shear)
-    x = (gradient[:-1, here] + gradient[1:, there]) * np.float32(0.5)
-    v = smooth[1:, there] - smooth[:-1, here]
+    columns_before, columns_after = _shifted(-shear), _shifted(shear)
+    x = (gradient[:-1, columns_before] + gradient[1:, columns_after]) * np.float32(0.5)
+    v = smooth[1:, columns_after] - smooth[:-1, columns_before]
     products = (np.einsum("vxc,vxc->vx", *pair) / np.float32(3) for pair in ((x, x), (x, v), (v, v)))
     xx, xv, vv = (cv2.GaussianBlur(product, (13, 1), WINDOW_PX) for product in products)
     return xx, xv, vv
@@ -133,14 +133,14 @@ def _over_window(pairs: Array32, shear: int, first_column: int) -> Array32:
     return total
 
 
-def _straighter(best: Lines | None, other: Lines) -> Lines:
+def _straighter(best: Lines | None, candidate: Lines) -> Lines:
     """Of two lines through each pixel the one that changes less along itself, relative to the change across it."""
     if best is None:
-        return other
+        return candidate
     # along / across < along' / across' without a division by zero
-    take = other.along * best.across < best.along * other.across
-    pairs = ((best.slope_px, other.slope_px), (best.across, other.across), (best.along, other.along))
-    slope_px, across, along = (np.where(take, theirs, ours) for ours, theirs in pairs)
+    take = candidate.along * best.across < best.along * candidate.across
+    pairs = ((best.slope_px, candidate.slope_px), (best.across, candidate.across), (best.along, candidate.along))
+    slope_px, across, along = (np.where(take, candidate_values, best_values) for best_values, candidate_values in pairs)
     return Lines(slope_px, across, along, best.first_column)
 
 
@@ -207,8 +207,8 @@ def horizontal_path(cameras: Sequence[Camera]) -> HorizontalPath:
         raise MetricError(f"an epipolar plane image wants at least {MIN_POSES} poses, the path has {len(cameras)}; add poses")
     first = cameras[0]
     for camera in cameras[1:]:
-        same = camera.size == first.size and np.allclose(camera.K, first.K, atol=1e-3)
-        if not same or not np.allclose(camera.rotation, first.rotation, atol=1e-5):
+        has_same_lens = camera.size == first.size and np.allclose(camera.K, first.K, atol=1e-3)
+        if not has_same_lens or not np.allclose(camera.rotation, first.rotation, atol=1e-5):
             raise MetricError(
                 f"pose {camera.name}: size, intrinsics or orientation differ from {first.name}'s; an epipolar plane image wants "
                 "a camera that only moves sideways"
@@ -291,8 +291,8 @@ def epi_coherence(epis: Iterable[Image], path: HorizontalPath) -> EpiCoherence:
 
 
 def _measure_coherence(path: RenderedPath) -> list[Value]:
-    measured = epi_coherence(path.epis(), horizontal_path(path.cameras))
-    return whole_path(COHERENCE_NAMES, measured.coherence, measured.line_texture_255)
+    coherence = epi_coherence(path.epis(), horizontal_path(path.cameras))
+    return whole_path(COHERENCE_NAMES, coherence.coherence, coherence.line_texture_255)
 
 
 _COHERENCE_SCORER = PathScorer(COHERENCE_NAMES, _measure_coherence)
@@ -394,11 +394,11 @@ def _measure_slopes(path: RenderedPath) -> list[Value]:
     if len(depths) < len(path.cameras):
         raise MetricError(f"EPI slope: {len(depths)} of {len(path.cameras)} poses have a depth; give all of them one")
     pairs = ((epi, np.stack([depth[row] for depth in depths])) for row, epi in enumerate(path.epis()))
-    measured = slope_agreement(pairs, horizontal_path(path.cameras))
-    shares = whole_path(SLOPE_NAMES[1:], measured.agreeing_share, measured.measured_share)
-    if measured.median_error_px is None:
+    agreement = slope_agreement(pairs, horizontal_path(path.cameras))
+    shares = whole_path(SLOPE_NAMES[1:], agreement.agreeing_share, agreement.measured_share)
+    if agreement.median_error_px is None:
         return shares
-    return [*whole_path(SLOPE_NAMES[:1], measured.median_error_px), *shares]
+    return [*whole_path(SLOPE_NAMES[:1], agreement.median_error_px), *shares]
 
 
 _SLOPE_SCORER = PathScorer(SLOPE_NAMES, _measure_slopes, NO_SLOPE)

@@ -86,8 +86,8 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
     difference = carried.colour - images[1]
     texture = np.abs(np.diff(images[1], axis=1)) @ OVER_RGB
     error, squared, texture_there = (
-        float((carried.visibility[:, -each.shape[1] :] * each).sum(dtype=np.float64)) / weight
-        for each in (np.abs(difference) @ OVER_RGB, np.square(difference) @ OVER_RGB, texture)
+        float((carried.visibility[:, -error_map.shape[1] :] * error_map).sum(dtype=np.float64)) / weight
+        for error_map in (np.abs(difference) @ OVER_RGB, np.square(difference) @ OVER_RGB, texture)
     )
     return StepError(255 * error, weight / carried.visibility.size, 255 * texture_there, squared)
 

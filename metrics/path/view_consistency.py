@@ -120,10 +120,10 @@ def mean_reprojection(steps: Sequence[StepError]) -> Reprojection:
     Raises:
         MetricError: no step whose poses see a surface in common, or images without any texture, whose error no shift explains.
     """
-    measured = [(step.error_255, step.texture_255) for step in steps if step.error_255 is not None]
-    if not measured:
+    errors = [(step.error_255, step.texture_255) for step in steps if step.error_255 is not None]
+    if not errors:
         raise MetricError(f"reprojection: at none of {len(steps)} steps do the poses see a surface in common; check the depths")
-    error_255, texture_255 = np.array(measured, dtype=np.float64).mean(axis=0).tolist()
+    error_255, texture_255 = np.array(errors, dtype=np.float64).mean(axis=0).tolist()
     if not texture_255:
         raise MetricError("reprojection: wanted images with texture, got none; nothing to compare")
     return Reprojection(error_255, float(np.mean([step.visible_share for step in steps])), error_255 / texture_255)
@@ -203,21 +203,23 @@ def switch_score(step_errors_255: Sequence[float | None], sources: Sequence[Coll
         raise MetricError(f"no switch on this path: one set of source cameras at all {len(sources)} poses; use a longer path")
     if all(switches):
         raise MetricError(f"every step switches the source cameras ({len(switches)} steps); use more poses on this path")
-    measured = [(error, switch) for error, switch in zip(step_errors_255, switches, strict=True) if error is not None]
-    at_switches = [error for error, switch in measured if switch]
-    elsewhere = [error for error, switch in measured if not switch]
+    pairs = [(error, switch) for error, switch in zip(step_errors_255, switches, strict=True) if error is not None]
+    at_switches = [error for error, switch in pairs if switch]
+    elsewhere = [error for error, switch in pairs if not switch]
     if not at_switches or not elsewhere:
         raise MetricError(f"no step {'with' if elsewhere else 'without'} a switch could be measured; check the depths")
-    there, rest = float(np.mean(at_switches)), float(np.mean(elsewhere))
-    return SwitchScore(max(there, ROUNDING_255) / max(rest, ROUNDING_255), there - rest, len(at_switches), len(measured))
+    switch_error, other_error = float(np.mean(at_switches)), float(np.mean(elsewhere))
+    return SwitchScore(
+        max(switch_error, ROUNDING_255) / max(other_error, ROUNDING_255), switch_error - other_error, len(at_switches), len(pairs)
+    )
 
 
 def _measure_switches(path: RenderedPath) -> list[Value]:
     if not any(path.sources):
         raise MetricError("switch score: wanted the source cameras of each pose, got none; name them")
-    measured = switch_score([step.error_255 for step in path.steps], path.sources)
-    path.n_switches = measured.n_switches
-    return whole_path(SWITCH_NAMES, measured.ratio, measured.excess_255)
+    score = switch_score([step.error_255 for step in path.steps], path.sources)
+    path.n_switches = score.n_switches
+    return whole_path(SWITCH_NAMES, score.ratio, score.excess_255)
 
 
 _SWITCH_SCORER = PathScorer(SWITCH_NAMES, _measure_switches)

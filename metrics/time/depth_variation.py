@@ -107,7 +107,7 @@ def depth_sharpness(depth: Map) -> float:
     if np.count_nonzero(np.isfinite(logarithm)) < LEAST_PIXELS:
         raise MetricError(f"depth sharpness: {np.count_nonzero(np.isfinite(logarithm))} known pixels; needs {LEAST_PIXELS}")
     differences = [np.abs(np.diff(logarithm, axis=axis)) for axis in (0, 1)]
-    means = [float(each[np.isfinite(each)].mean()) for each in differences if np.isfinite(each).any()]
+    means = [float(difference[np.isfinite(difference)].mean()) for difference in differences if np.isfinite(difference).any()]
     return PERCENT * float(np.mean(means)) if means else 0.0
 
 

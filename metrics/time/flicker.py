@@ -85,9 +85,9 @@ class FlickerMeter:
         energies = [_energy(rendered_change), _energy(true_change), _energy(cv2.subtract(rendered_change, true_change))]
         still = self._still(energies[1])
         level = levels_of(block_means(truth).mean(axis=-1))
-        for sums, chosen in ((self._static, still), (self._moving, ~still)):
-            weights: list[NDArray] = [np.ones(int(chosen.sum())), *(energy[chosen] for energy in energies)]
-            sums += np.stack([np.bincount(level[chosen], weight, minlength=N_LEVELS) for weight in weights], axis=-1)
+        for sums, mask in ((self._static, still), (self._moving, ~still)):
+            weights: list[NDArray] = [np.ones(int(mask.sum())), *(energy[mask] for energy in energies)]
+            sums += np.stack([np.bincount(level[mask], weight, minlength=N_LEVELS) for weight in weights], axis=-1)
         self._pairs += 1
 
     def finish(self) -> Flicker:
@@ -175,8 +175,8 @@ class FlickerScorer:
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
-        measured = self._meter.finish()
-        scores = {"Flicker": measured.error, "Flicker_excess": measured.excess}
+        flicker = self._meter.finish()
+        scores = {"Flicker": flicker.error, "Flicker_excess": flicker.excess}
         return [(name, None, scores[name]) for name in self.names]
 
 

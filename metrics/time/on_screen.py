@@ -24,13 +24,13 @@ class Screen:
     """Displayed frames at each instant of a clip.
 
     Attributes:
-        shown: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
+        frames: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
         latencies_s: from the capture of each picture that is shown to its being ready, in their order.
         per_second: pictures that the method can make in a second; infinite where it takes no time.
         warm_up: instants at the beginning that are not scored.
     """
 
-    shown: tuple[int | None, ...]
+    frames: tuple[int | None, ...]
     latencies_s: tuple[float, ...]
     per_second: float
     warm_up: int = 0
@@ -38,19 +38,19 @@ class Screen:
     @property
     def scored(self) -> dict[int, int]:
         """Instants that are scored, those with a picture behind the warm-up, and what they show."""
-        lit = enumerate(self.shown[self.warm_up :], self.warm_up)
+        lit = enumerate(self.frames[self.warm_up :], self.warm_up)
         return {instant: frame for instant, frame in lit if frame is not None}
 
     def record(self) -> dict[str, Any]:
         """Counts and times as JSON values: of the instants from the first picture on, and of those before it (``dark``)."""
-        lit = [frame for frame in self.shown if frame is not None]
-        seen = sorted(set(lit))
+        lit = [frame for frame in self.frames if frame is not None]
+        numbers = sorted(set(lit))
         latencies_ms = [1000 * latency for latency in self.latencies_s]
         return {
-            "shown": len(seen),
-            "repeated": len(lit) - len(seen),
-            "dropped": seen[-1] - seen[0] + 1 - len(seen) if seen else 0,
-            "dark": len(self.shown) - len(lit),
+            "shown": len(numbers),
+            "repeated": len(lit) - len(numbers),
+            "dropped": numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0,
+            "dark": len(self.frames) - len(lit),
             "latency_ms": float(np.mean(latencies_ms)) if latencies_ms else None,
             "latency_p95_ms": float(np.percentile(latencies_ms, 95)) if latencies_ms else None,
             "per_second": self.per_second if math.isfinite(self.per_second) else None,
@@ -69,11 +69,11 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
         stream: rate of the cameras and policy.
 
     Examples:
-        >>> on_screen([0.0], 4, Stream(fps=10)).shown
+        >>> on_screen([0.0], 4, Stream(fps=10)).frames
         (0, 1, 2, 3)
-        >>> on_screen([0.1, 0.1], 6, Stream(fps=10)).shown
+        >>> on_screen([0.1, 0.1], 6, Stream(fps=10)).frames
         (None, None, 0, 0, 2, 2)
-        >>> on_screen([0.1, 0.1], 6, Stream(fps=10, pipelined=True)).shown
+        >>> on_screen([0.1, 0.1], 6, Stream(fps=10, pipelined=True)).frames
         (None, None, 0, 1, 2, 3)
 
     Reading:
@@ -92,10 +92,10 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
             ready.append((begun + latency, frame))
         free = begun + busy
         frame = max(frame + 1, math.floor(free + TIE))
-    shown: list[int | None] = []
+    pictures: list[int | None] = []
     for instant in range(count):
-        done = [number for time, number in ready if time <= instant + TIE]
-        shown.append(done[-1] if done else None)
+        ready_frames = [number for time, number in ready if time <= instant + TIE]
+        pictures.append(ready_frames[-1] if ready_frames else None)
     waits = {number: time - number for time, number in ready}
-    latencies = tuple(waits[number] / stream.fps for number in sorted({each for each in shown if each is not None}))
-    return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)
+    latencies = tuple(waits[number] / stream.fps for number in sorted({frame for frame in pictures if frame is not None}))
+    return Screen(tuple(pictures), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)

@@ -173,11 +173,11 @@ def block_entropies(band: Array) -> tuple[Array, Array]:
     cropped = band[: rows * BLOCK, : columns * BLOCK]
     patches = np.lib.stride_tricks.sliding_window_view(cropped, (BLOCK, BLOCK)).reshape(-1, BLOCK**2)  # every offset
     variances, directions = np.linalg.eigh(np.cov(patches, rowvar=False, bias=True))
-    kept = variances > ROUNDING_VARIANCE
+    is_significant = variances > ROUNDING_VARIANCE
     blocks = cropped.reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2).reshape(rows, columns, BLOCK**2)
-    coefficients = blocks @ directions[:, kept]  # (rows, columns, kept)
-    scale = (coefficients**2 / variances[kept]).sum(axis=-1) / BLOCK**2
-    information = np.log2(scale[..., None] * variances[kept] + NEURAL_NOISE_VARIANCE) + math.log(2 * math.pi * math.e)
+    coefficients = blocks @ directions[:, is_significant]  # (rows, columns, directions)
+    scale = (coefficients**2 / variances[is_significant]).sum(axis=-1) / BLOCK**2
+    information = np.log2(scale[..., None] * variances[is_significant] + NEURAL_NOISE_VARIANCE) + math.log(2 * math.pi * math.e)
     return information.sum(axis=-1), scale
 
 
@@ -292,8 +292,10 @@ class StredScorer:
         previous, self._previous = self._previous, bands
         if previous is None or (self._pairing == "disjoint" and index % 2 == 0):
             return []
-        ours, theirs = (partial(reduced_references, *pair, self._pairing) for pair in zip(previous, bands, strict=True))
-        difference = pair_difference(ours(), truth.once(reduced_references, theirs))
+        rendered_reference, truth_reference = (
+            partial(reduced_references, *pair, self._pairing) for pair in zip(previous, bands, strict=True)
+        )
+        difference = pair_difference(rendered_reference(), truth.once(reduced_references, truth_reference))
         self._differences.append(difference)
         parts = (
             ("STED", "_spatial", difference.spatial),
@@ -309,8 +311,8 @@ class StredScorer:
             return spatial_band(luma(rendered)), truth.once(spatial_band, lambda: spatial_band(luma(truth.image)))
         from ggvs_eval.metrics.on_device import upload_pair
 
-        ours, theirs = upload_pair(rendered, truth, self._device)
-        return device_band(ours), truth.once(device_band, lambda: device_band(theirs))
+        rendered_frame, truth_frame = upload_pair(rendered, truth, self._device)
+        return device_band(rendered_frame), truth.once(device_band, lambda: device_band(truth_frame))
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""

@@ -78,8 +78,8 @@ def _variation(frames: Sequence[Image], static: Mask | None) -> float:
     for frame in frames:
         check_pair(frame, frame)
         if frame.shape != frames[0].shape or frame.dtype != frames[0].dtype:
-            first, other = (f"{each.shape} {each.dtype}" for each in (frames[0], frame))
-            raise MetricError(f"one frame is {first}, another {other}; the frames of a video have one size and kind")
+            first, second = (f"{image.shape} {image.dtype}" for image in (frames[0], frame))
+            raise MetricError(f"one frame is {first}, another {second}; the frames of a video have one size and kind")
     height, width, channels = frames[0].shape
     n_pixels = height * width if static is None else count_inside(static, (height, width))
     inside = None if static is None else static.astype(np.uint8)
