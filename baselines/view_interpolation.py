@@ -41,15 +41,15 @@ class ViewInterpolation:
         """
         started = perf_counter()
         first, second, share = choose_pair(instant.target, [source.camera for source in instant.sources])
-        images, seen = zip(*(turn_towards(instant.target, instant.sources[k]) for k in (first, second)), strict=True)
-        there, back = flow(images[0], images[1]), flow(images[1], images[0])
+        images, masks = zip(*(turn_towards(instant.target, instant.sources[k]) for k in (first, second)), strict=True)
+        forward, back = flow(images[0], images[1]), flow(images[1], images[0])
         flowed = perf_counter()
-        to_first = share**2 * back - (1 - share) * share * there
-        to_second = (1 - share) ** 2 * there - share * (1 - share) * back
+        to_first = share**2 * back - (1 - share) * share * forward
+        to_second = (1 - share) ** 2 * forward - share * (1 - share) * back
         warped = [_pull(values, to) for values, to in zip(images, (to_first, to_second), strict=True)]
         weights = [
             nearness * np.maximum(_pull(reached, to, cv2.BORDER_CONSTANT), np.float32(1e-6))[..., None]
-            for nearness, reached, to in zip((1 - share, share), seen, (to_first, to_second), strict=True)
+            for nearness, reached, to in zip((1 - share, share), masks, (to_first, to_second), strict=True)
         ]
         image = (weights[0] * warped[0] + weights[1] * warped[1]) / (weights[0] + weights[1]) / 255
         return Rendering(image.astype(np.float32), None, {"flow": flowed - started, "blend": perf_counter() - flowed})
@@ -72,7 +72,7 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
         >>> choose_pair(at(0.25), [at(0.0), at(1.0)])
         (0, 1, 0.25)
     """
-    found = []
+    pairs = []
     for first, second in combinations(range(len(cameras)), 2):
         a, b = cameras[first].centre, cameras[second].centre
         baseline = float(np.linalg.norm(b - a))
@@ -80,13 +80,13 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
             continue
         share = float((target.centre - a) @ (b - a)) / baseline**2
         offset = float(np.linalg.norm(target.centre - a - share * (b - a))) / baseline
-        turns = [turn_rad(cameras[each], target) for each in (first, second)]
+        turns = [turn_rad(cameras[index], target) for index in (first, second)]
         if -ON_THE_LINE <= share <= 1 + ON_THE_LINE and offset <= LARGEST_OFFSET and max(turns) <= LARGEST_TURN_RAD:
             distance = sum(float(np.linalg.norm(end - target.centre)) for end in (a, b))
-            found.append((distance, first, second, min(max(share, 0.0), 1.0)))
-    if not found:
+            pairs.append((distance, first, second, min(max(share, 0.0), 1.0)))
+    if not pairs:
         raise ViewRefusedError("wanted a target between two cameras, got one outside")
-    _, first, second, share = min(found)
+    _, first, second, share = min(pairs)
     return first, second, share
 
 
@@ -98,11 +98,11 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
     to_target = target.K_opencv @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(source.camera.K_opencv)
     size = target.width, target.height
     turned = cv2.warpPerspective(source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    whole = np.ones(source.image.shape[:2], np.float32)
-    return np.asarray(turned), np.asarray(cv2.warpPerspective(whole, to_target, size, flags=cv2.INTER_LINEAR))
+    mask = np.ones(source.image.shape[:2], np.float32)
+    return np.asarray(turned), np.asarray(cv2.warpPerspective(mask, to_target, size, flags=cv2.INTER_LINEAR))
 
 
-def flow(here: Image8, there: Image8) -> Map:
+def flow(first: Image8, second: Image8) -> Map:
     """Return the displacement of each pixel of an image to another, (H, W, 2).
 
     Reading:
@@ -112,7 +112,7 @@ def flow(here: Image8, there: Image8) -> Map:
     cv2.setNumThreads(1)
     try:
         search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (here, there)]
+        grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (first, second)]
         return np.asarray(search.calc(grey[0], grey[1], None))
     finally:
         cv2.setNumThreads(threads)

@@ -211,6 +211,6 @@ def load_enerf(path: Path) -> Networks:
     """
     configuration = configuration_of(path, COARSE_PLANES, "ENeRF")
     networks = Networks(configuration or FULL)
-    tensors = read_tensors(path, *(() if configuration else ("net",)), of="ENeRF")
+    tensors = read_tensors(path, *(() if configuration else ("net",)), model="ENeRF")
     load_strict(tensors, networks, path, "ENeRF")
     return networks.eval().requires_grad_(False)

@@ -247,11 +247,11 @@ def coarse_views(views: Sequence[SeenView]) -> list[SeenView]:
     small = []
     for view in views:
         colours = functional.interpolate(
-            view.shown[-3:][None], scale_factor=1 / COARSE_FACTOR, mode="bilinear", align_corners=True
+            view.maps[-3:][None], scale_factor=1 / COARSE_FACTOR, mode="bilinear", align_corners=True
         )[0]
         K = view.K.copy()
         K[:2] /= COARSE_FACTOR  # as the volumes: pixel (0, 0) is the same place at every scale
-        small.append(replace(view, shown=torch.cat([view.levels[0], colours]), K=K))
+        small.append(replace(view, maps=torch.cat([view.levels[0], colours]), K=K))
     return small
 
 
@@ -280,8 +280,8 @@ def render_coarsely(
 
 def _coarse_voxels(surface: CoarseSurface, depths: Tensor, height: int, width: int) -> Tensor:
     """Return the features of the coarse volume at the samples (N, S), (N * S, 8)."""
-    whole = (2 * side - 1 for side in surface.mean.shape)  # index of the last pixel, padded ones included
-    sides = (2 * torch.arange(side) / last - 1 for side, last in zip((height, width), whole, strict=True))
+    last_pixels = (2 * side - 1 for side in surface.mean.shape)  # index of the last pixel, padded ones included
+    sides = (2 * torch.arange(side) / last - 1 for side, last in zip((height, width), last_pixels, strict=True))
     rows, columns = torch.meshgrid(*sides, indexing="ij")
     share = (1 / depths - 1 / surface.near) / (1 / surface.far - 1 / surface.near)
     across, down = (index.reshape(-1, 1).expand_as(depths) for index in (columns, rows))

@@ -25,13 +25,13 @@ class SeenView:
 
     Attributes:
         levels: features (32, H / 4, W / 4) and (16, H / 2, W / 2) for the two volumes.
-        shown: features and RGB in [0, 1] for the colours, (8 + 3, H, W).
+        maps: features and RGB in [0, 1] for the colours, (8 + 3, H, W).
         K: intrinsics, pixel centres at whole numbers, (3, 3).
         world_to_camera: (4, 4).
     """
 
     levels: tuple[Tensor, Tensor]
-    shown: Tensor
+    maps: Tensor
     K: Matrix
     world_to_camera: Matrix
 
@@ -48,7 +48,7 @@ class SeenView:
         """Return the features and colour at points (N, 3), those of the border outside the image, (N, 11)."""
         world_to_image = torch.as_tensor(self.projection(1.0)).float()
         projected = points_world @ world_to_image[:3, :3].T + world_to_image[:3, 3]
-        return sample(self.shown, image_places(projected, self.shown)[None], "border")[:, 0].T
+        return sample(self.maps, image_places(projected, self.maps)[None], "border")[:, 0].T
 
 
 def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenView:
@@ -66,9 +66,9 @@ def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: f
     height, width = (padded(side) for side in images.shape[2:])
     images = functional.pad(images, (0, width - images.shape[3], 0, height - images.shape[2]), mode="replicate")
     quarter, half, full = (level.float() for level in network(2 * images - 1))
-    shown = torch.cat([full, images], dim=1)
+    features = torch.cat([full, images], dim=1)
     return [
-        SeenView((quarter[k], half[k]), shown[k], source.camera.K_opencv, extrinsics(source.camera, unit))
+        SeenView((quarter[k], half[k]), features[k], source.camera.K_opencv, extrinsics(source.camera, unit))
         for k, source in enumerate(sources)
     ]
 

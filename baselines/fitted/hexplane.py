@@ -211,7 +211,7 @@ def _bend(plane: Tensor) -> Tensor:
 def read_deformation(path: Path) -> DeformationNetwork:
     """Return the field of a ``deformation.pth`` of the authors."""
     network = DeformationNetwork(torch.zeros(2, 3), PUBLISHED)
-    load_strict(read_tensors(path, of=OWNER), network, path, OWNER)
+    load_strict(read_tensors(path, model=OWNER), network, path, OWNER)
     return network
 
 
@@ -258,21 +258,21 @@ class _CompiledField(torch.autograd.Function):
         """Return the derivatives by the points, the planes and the layers."""
         from ggvs_eval.kernels import _deformation
 
-        given = tuple(gradient.contiguous().numpy() for gradient in by_outputs)
+        by_arrays = tuple(gradient.contiguous().numpy() for gradient in by_outputs)
         by_points, by_planes, by_layers = _deformation.gradients(
-            *_compiled_arguments(ctx.options, ctx.saved_tensors), given, *_compiled_settings()
+            *_compiled_arguments(ctx.options, ctx.saved_tensors), by_arrays, *_compiled_settings()
         )
         gradients = (torch.from_numpy(by_points), None, *map(torch.from_numpy, (*by_planes, *by_layers)))
         needed = ctx.needs_input_grad[3:]
-        return None, None, None, *(each if asked else None for each, asked in zip(gradients, needed, strict=True))
+        return None, None, None, *(gradient if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True))
 
 
 def _compiled_arguments(
     options: tuple[float, Axes, int], tensors: Sequence[Tensor]
 ) -> tuple[Any, Any, float, tuple[Any, ...], Axes, tuple[Any, ...]]:
     time, axes, n_planes = options
-    points, box, *others = (tensor.detach().contiguous().numpy() for tensor in tensors)
-    return points, box, time, tuple(others[:n_planes]), axes, tuple(others[n_planes:])
+    points, box, *parameters = (tensor.detach().contiguous().numpy() for tensor in tensors)
+    return points, box, time, tuple(parameters[:n_planes]), axes, tuple(parameters[n_planes:])
 
 
 def _compiled_settings() -> tuple[int, int]:

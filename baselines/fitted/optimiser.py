@@ -155,9 +155,11 @@ def control_density(state: FitState, extent: float, options: DensitySchedule, se
             strongest = torch.sort(torch.where(dense, pull, -1), descending=True, stable=True).indices[:room]
             dense = torch.zeros_like(dense).index_fill_(0, strongest, value=True)
         large = state.gaussians["log_scales"].exp().amax(dim=1) > LARGE * extent
-        kept, cloned, split = (torch.nonzero(rows)[:, 0] for rows in (opaque & ~(dense & large), dense & ~large, dense & large))
-        rows = torch.cat([kept, cloned, split, split])
-        fresh = torch.arange(len(rows), device=rows.device) >= len(kept)
+        unsplit, cloned, split = (
+            torch.nonzero(rows)[:, 0] for rows in (opaque & ~(dense & large), dense & ~large, dense & large)
+        )
+        rows = torch.cat([unsplit, cloned, split, split])
+        fresh = torch.arange(len(rows), device=rows.device) >= len(unsplit)
         state.take(rows, fresh)
         _scatter(state, 2 * len(split), seed)
 
@@ -203,9 +205,9 @@ class GaussianFitter(SceneFitter):
         Args:
             names: of the options that count, besides the common ones.
         """
-        for each in (*names, "points", "most", "save_every"):
-            if getattr(self, each) < 1:
-                raise RenderError(f"{self.name}: {each} must be 1 or more, got {getattr(self, each)}")
+        for name in (*names, "points", "most", "save_every"):
+            if getattr(self, name) < 1:
+                raise RenderError(f"{self.name}: {name} must be 1 or more, got {getattr(self, name)}")
         if self.degree not in range(4):
             raise RenderError(f"{self.name}: degree must be 0, 1, 2 or 3, got {self.degree}")
 
@@ -250,10 +252,10 @@ class Journal:
         folder: gets ``log.csv``, ``validation.csv`` and the picture.
     """
 
-    def __init__(self, folder: Path, name: str, steps: int, before: int, done: int, progress: Progress) -> None:
+    def __init__(self, folder: Path, name: str, steps: int, before: int, n_done: int, progress: Progress) -> None:
         self._folder, self._name, self._steps, self._progress = folder, name, steps, progress
         self._before = before
-        self._log = TrainingLog(folder, before + done)
+        self._log = TrainingLog(folder, before + n_done)
 
     def step(self, step: int, loss: float, count: int, seconds: float) -> None:
         """Note one step."""

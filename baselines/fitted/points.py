@@ -108,16 +108,18 @@ def _fused(footage: Footage, index: int) -> tuple[Array, Array32]:
     partners = min(PARTNERS, len(footage.views) - 1)
     centres = np.stack([camera.centre for camera in footage.cameras])
     means, colours = [], []
-    for own, (view, camera) in enumerate(zip(footage.views, footage.cameras, strict=True)):
-        known = np.zeros(depths[own].shape, bool)
-        known[stride // 2 :: stride, stride // 2 :: stride] = True
-        known &= depths[own] > 0
-        points = camera.unproject(camera.pixel_centres()[known], depths[own][known].astype(np.float64))
+    for place, (view, camera) in enumerate(zip(footage.views, footage.cameras, strict=True)):
+        mask = np.zeros(depths[place].shape, bool)
+        mask[stride // 2 :: stride, stride // 2 :: stride] = True
+        mask &= depths[place] > 0
+        points = camera.unproject(camera.pixel_centres()[mask], depths[place][mask].astype(np.float64))
         nearest = np.argsort(np.linalg.norm(centres - camera.centre, axis=1), kind="stable")[1 : partners + 1]
-        votes = sum((_agrees(footage.cameras[other], depths[other], points) for other in nearest), np.zeros(len(points), int))
-        kept = votes >= min(AGREEING, partners)
-        means.append(points[kept])
-        colours.append(footage.image(view, index)[known][kept].astype(np.float32) / 255)
+        votes = sum(
+            (_agrees(footage.cameras[partner], depths[partner], points) for partner in nearest), np.zeros(len(points), int)
+        )
+        is_agreed = votes >= min(AGREEING, partners)
+        means.append(points[is_agreed])
+        colours.append(footage.image(view, index)[mask][is_agreed].astype(np.float32) / 255)
     return np.concatenate(means), np.concatenate(colours)
 
 

@@ -249,9 +249,9 @@ class Backdrop(Motion):
 
     kind = "backdrop"
 
-    def __init__(self, others: Mapping[str, Tensor]) -> None:
+    def __init__(self, tensors: Mapping[str, Tensor]) -> None:
         super().__init__()
-        self._others = others
+        self._others = tensors
 
     def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:  # has one instant
         """Return both; those that are learned come first."""
@@ -313,9 +313,9 @@ class StoredScene:
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
         notes = _notes(path)
-        tensors = read_tensors(path, of="a fitted scene")
+        tensors = read_tensors(path, model="a fitted scene")
         place = compute_device(device)
-        rows = {name.removeprefix("gaussians."): each for name, each in tensors.items() if name.startswith("gaussians.")}
+        rows = {name.removeprefix("gaussians."): tensor for name, tensor in tensors.items() if name.startswith("gaussians.")}
         self.gaussians = {name: tensor.to(place) for name, tensor in rows.items()}
         self.motion = motion_of(notes["motion"], notes["sizes"])
         parameters = {name.removeprefix("motion."): tensor for name, tensor in tensors.items() if name.startswith("motion.")}

@@ -85,15 +85,15 @@ class FitState:
             name, old = group["name"], group["params"][0]
             if name not in self.gaussians:
                 continue
-            kept = self.optimiser.state.pop(old, {})
+            moments = self.optimiser.state.pop(old, {})
             new = old.detach()[rows].requires_grad_()
             for moment in ("exp_avg", "exp_avg_sq"):
-                if moment in kept:
-                    kept[moment] = kept[moment][rows]
-                    kept[moment][fresh] = 0
+                if moment in moments:
+                    moments[moment] = moments[moment][rows]
+                    moments[moment][fresh] = 0
             self.gaussians[name] = group["params"][0] = new
-            if kept:
-                self.optimiser.state[new] = kept
+            if moments:
+                self.optimiser.state[new] = moments
         self.forget_gradients()
 
     def write(self, path: Path) -> None:

@@ -86,8 +86,8 @@ class Stream(GaussianFitter):
         """Return the steps of N instants together."""
         return self.steps + (instants - 1) * (self.transforming + self.spawning)
 
-    def _journal(self, footage: Footage, folder: Path, before: int, done: int, progress: Progress) -> Journal:
-        return Journal(folder, "fit", self._steps(len(footage.indices)), before, done, progress)
+    def _journal(self, footage: Footage, folder: Path, before: int, n_done: int, progress: Progress) -> Journal:
+        return Journal(folder, "fit", self._steps(len(footage.indices)), before, n_done, progress)
 
     def _fit_first(self, footage: Footage, folder: Path, progress: Progress, device: torch.device) -> None:
         index = footage.indices[0]

@@ -53,8 +53,8 @@ def _cut(path: Path, last: int) -> None:
     if not path.is_file():
         return
     header, *lines = path.read_text(encoding="utf-8").splitlines()
-    whole = [line for line in lines if line.count(",") == header.count(",") and int(line.split(",")[0]) <= last]
-    path.write_text("\n".join([header, *whole]) + "\n", encoding="utf-8")
+    steps = [line for line in lines if line.count(",") == header.count(",") and int(line.split(",")[0]) <= last]
+    path.write_text("\n".join([header, *steps]) + "\n", encoding="utf-8")
 
 
 def draw_curves(folder: Path, name: str) -> Path:

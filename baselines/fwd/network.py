@@ -92,8 +92,8 @@ class FwdNetwork(nn.Module):
         Returns:
             (B, width, H, W).
         """
-        own = torch.cat([self.encoder(images), images], dim=1)
-        adapted: Tensor = self.adaptation(torch.cat([own, self.direction(directions)], dim=1))
+        features = torch.cat([self.encoder(images), images], dim=1)
+        adapted: Tensor = self.adaptation(torch.cat([features, self.direction(directions)], dim=1))
         return adapted
 
     def decode(self, features: Tensor, alphas: Tensor) -> Tensor:
@@ -131,7 +131,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
 
     Whether it completes depth is known from its tensors, which configuration it is from its header.
     """
-    tensors = read_tensors(path, of=OF)
+    tensors = read_tensors(path, model=OF)
     configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
     network = FwdNetwork(configuration, any(name.startswith("completion.") for name in tensors))
     load_strict(tensors, network, path, OF)

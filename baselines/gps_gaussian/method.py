@@ -90,12 +90,12 @@ class RectifiedPair:
 
 
 @lru_cache(maxsize=4)
-def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
+def rectify(left: Camera, right: Camera, entire: bool = False) -> RectifiedPair:
     """Rectify a pair.
 
     Args:
         right: the other one; a right camera below the left one gives canvases on their sides.
-        whole: canvases that hold the whole images, instead of ones of the images' size.
+        entire: canvases that hold the whole images, instead of ones of the images' size.
 
     Reading:
         As the authors' recipe: both canvases have the size of the images, one focal length and one row for the horizon, and each
@@ -108,7 +108,7 @@ def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
     axes = _rectifying_axes(left, right)
     focal_px = (left.focal_px + right.focal_px) / 2
     corners = np.stack([_corners(camera, axes, focal_px) for camera in (left, right)])  # (2, 4, 2)
-    if whole:
+    if entire:
         shrink = _shrink(corners, max(left.width * left.height, right.width * right.height))
         focal_px, corners = focal_px * shrink, corners * shrink
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -193,12 +193,12 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
         pair with the smallest sum of distances to the target, ties in the order of the sources.
     """
     distances = [float(np.linalg.norm(camera.centre - target.centre)) for camera in cameras]
-    chosen: list[tuple[int, int]] = []
+    pairs: list[tuple[int, int]] = []
     refusals: list[str] = []
     for first, second in sorted(combinations(range(len(cameras)), 2), key=lambda pair: distances[pair[0]] + distances[pair[1]]):
-        if len(chosen) == count:
+        if len(pairs) == count:
             break
-        if any(camera in pair for pair in chosen for camera in (first, second)):
+        if any(camera in pair for pair in pairs for camera in (first, second)):
             continue
         ordered = _in_order(cameras, first, second)
         try:
@@ -206,19 +206,19 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
         except RenderError as error:
             refusals.append(str(error))
             continue
-        chosen.append(ordered)
-    if not chosen:
+        pairs.append(ordered)
+    if not pairs:
         raise ViewRefusedError(
             f"GPS-Gaussian needs a stereo pair among the sources; {refusals[0] if refusals else 'got one camera'}"
         )
-    return chosen
+    return pairs
 
 
 def _in_order(cameras: Sequence[Camera], first: int, second: int) -> tuple[int, int]:
     """Left camera first; of two that are on top of each other the upper one."""
-    one, other = cameras[first], cameras[second]
-    towards = other.centre - one.centre
-    across, down = ((one.rotation + other.rotation) @ towards)[:2]
+    camera, partner = cameras[first], cameras[second]
+    towards = partner.centre - camera.centre
+    across, down = ((camera.rotation + partner.rotation) @ towards)[:2]
     leading = across if abs(across) >= abs(down) else down
     return (first, second) if leading >= 0 else (second, first)
 
@@ -284,7 +284,7 @@ def instant_gaussians(
     parts = []
     for left, right in choose_pairs(instant.target, [source.camera for source in instant.sources], pairs):
         sources = instant.sources[left], instant.sources[right]
-        pair = rectify(sources[0].camera, sources[1].camera, network.config.whole)
+        pair = rectify(sources[0].camera, sources[1].camera, network.config.entire)
         colours = [view.image(source) for view, source in zip(pair.views, sources, strict=True)]
         images = torch.stack([_network_image(view, image) for view, image in zip(pair.views, colours, strict=True)])
         features = network.features(images)

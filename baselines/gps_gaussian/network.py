@@ -198,7 +198,7 @@ class GpsGaussianShape:
         pairs: how many pairs are rendered together.
         rotations_in: what rotations refer to: the ``world``, or the rectified ``camera``, which makes the output independent of
             the choice of the world's axes.
-        whole: whether rectified canvases hold the whole images, see `rectify`.
+        entire: whether rectified canvases hold the whole images, see `rectify`.
     """
 
     widths: tuple[int, int, int] = (32, 48, 96)
@@ -206,12 +206,12 @@ class GpsGaussianShape:
     stereo: bool = True
     pairs: int = 1
     rotations_in: Literal["world", "camera"] = "world"
-    whole: bool = False
+    entire: bool = False
 
 
 CONFIGURATIONS = {
     "full": GpsGaussianShape(),
-    "compact": GpsGaussianShape((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
+    "compact": GpsGaussianShape((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", entire=True),
 }
 
 
@@ -260,7 +260,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
     """
     configuration = configuration_of(path, CONFIGURATIONS, OF)
     with safe_globals([(_nothing, name) for name in FORGOTTEN]):
-        tensors = read_tensors(path, *(() if configuration else ("network",)), of=OF)
+        tensors = read_tensors(path, *(() if configuration else ("network",)), model=OF)
     network = GpsGaussianNetwork(configuration or FULL)
     load_strict(tensors, network, path, OF)
     return network.eval().to(device)

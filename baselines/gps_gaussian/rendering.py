@@ -94,11 +94,11 @@ def footprints(gaussians: Gaussians, target: Camera, near: float) -> Footprints:
     covariance = _image_covariance(points.float(), gaussians.axes[indices], gaussians.scales[indices], target)
     conics, radii = _conics(covariance)
     reach = (centres + radii[:, None] >= 0) & (centres - radii[:, None] < torch.tensor(target.size) + TILE)
-    kept = torch.nonzero(reach.all(dim=1) & (radii > 0))[:, 0]
-    depths, order = torch.sort(points[kept, 2].float(), stable=True)
-    kept = kept[order]
+    rows = torch.nonzero(reach.all(dim=1) & (radii > 0))[:, 0]
+    depths, order = torch.sort(points[rows, 2].float(), stable=True)
+    rows = rows[order]
     return Footprints(
-        centres[kept], conics[kept], radii[kept], depths, gaussians.opacities[indices[kept]], gaussians.colours[indices[kept]]
+        centres[rows], conics[rows], radii[rows], depths, gaussians.opacities[indices[rows]], gaussians.colours[indices[rows]]
     )
 
 
@@ -243,10 +243,10 @@ def blend_batches(footprints: Footprints, features: Tensor, members: Tensor, sta
             break
         ranks = first + torch.arange(RANKS_AT_ONCE)
         for tiles in lit.split(TILES_AT_ONCE):
-            there = ranks < counts[tiles, None]  # (t, n)
-            chunk = members[torch.where(there, starts[tiles, None] + ranks, 0)]
+            exists = ranks < counts[tiles, None]  # (t, n)
+            chunk = members[torch.where(exists, starts[tiles, None] + ranks, 0)]
             alpha = (
-                _batch_alphas(footprints, chunk, tiles % columns * TILE, tiles // columns * TILE) * there[:, None]
+                _batch_alphas(footprints, chunk, tiles % columns * TILE, tiles // columns * TILE) * exists[:, None]
             )  # (t, TILE**2, n)
             before = light[tiles, :, None]
             after = before * torch.cumprod(1 - alpha, dim=2)

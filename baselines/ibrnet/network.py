@@ -165,8 +165,8 @@ def load_ibrnet(path: Path) -> Networks:
     """
     networks = Networks(configuration_of(path, CONFIGURATIONS, "IBRNet") or FULL)
     for part in PARTS:
-        of = f"IBRNet's {part}"
-        load_strict(read_tensors(path, part, of=of), networks.get_submodule(part), path, of)
+        model = f"IBRNet's {part}"
+        load_strict(read_tensors(path, part, model=model), networks.get_submodule(part), path, model)
     return networks.eval().requires_grad_(False)
 
 

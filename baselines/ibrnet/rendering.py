@@ -54,7 +54,7 @@ class SeenView:
     def pixels(self) -> dict[str, Pixels]:
         """``image``, ``coarse`` and ``fine`` with the channels of a pixel side by side, (H, W, C), as kernels read them."""
         maps = {"image": self.image, "coarse": self.coarse, "fine": self.fine}
-        return {name: np.ascontiguousarray(each.permute(1, 2, 0).numpy(), np.float32) for name, each in maps.items()}
+        return {name: np.ascontiguousarray(tensor.permute(1, 2, 0).numpy(), np.float32) for name, tensor in maps.items()}
 
     def look_up(self, points_world: Tensor, of_pass: Pass) -> tuple[Tensor, Tensor]:
         """Return the colour and features at points, and whether the image shows them.
@@ -253,7 +253,7 @@ def packed_layers(network: RayNetwork) -> list[Packed]:
         (first[:, 2 * SEEN :], None),  # for what is a view's own
         base,
         *(layer for part in parts for layer in _linear(part)),
-        *((each.weight, None) for each in projections),
+        *((layer.weight, None) for layer in projections),
         *_linear(network.out_geometry_fc),
     )
     return [_packed(weights, bias) for weights, bias in in_order]

@@ -52,5 +52,5 @@ def undistort(
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos
 
-    written = undistort_videos(source, lenses, out, output)
-    print(f"{written.path}: {len(written.cameras)} cameras of {written.n_frames} frames")
+    videos = undistort_videos(source, lenses, out, output)
+    print(f"{videos.path}: {len(videos.cameras)} cameras of {videos.n_frames} frames")

@@ -89,25 +89,25 @@ def protocol(
     proposal = propose_protocol(opened, doubts)
     if test:
         proposal = hold_out(proposal, opened, tuple(dict.fromkeys(test)), doubts)
-    chosen = proposal.protocol.shortened(frames, path_poses)
+    terms = proposal.protocol.shortened(frames, path_poses)
     if not 0 <= start < opened.n_frames:
         raise ProtocolError(f"--start {start}: wanted an instant of {capture}, 0 to {opened.n_frames - 1}")
-    chosen = replace(chosen, frames=replace(chosen.frames, start=start, count=min(chosen.frames.count, opened.n_frames - start)))
+    terms = replace(terms, frames=replace(terms.frames, start=start, count=min(terms.frames.count, opened.n_frames - start)))
     if metrics:
         select_metrics(metrics)
-        chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))
-    if chosen != proposal.protocol or test:  # a protocol of the user's own spares no frame
-        chosen = replace(chosen, measurement=replace(chosen.measurement, lpips_every=1))
+        terms = replace(terms, measurement=replace(terms.measurement, metrics=metrics))
+    if terms != proposal.protocol or test:  # a protocol of the user's own spares no frame
+        terms = replace(terms, measurement=replace(terms.measurement, lpips_every=1))
     if stream is not None:
-        chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
+        terms = checked_protocol(terms.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:
-        unfinished.write_text(chosen.to_toml(), encoding="utf-8")
+        unfinished.write_text(terms.to_toml(), encoding="utf-8")
     print(text_table({"cameras": 0, "reason for holding out, or not": 1}, _together(proposal.reasons)))
-    print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
+    print(f"{out}: {len(terms.views.test)} test views, K = {terms.synthesis.k}, {terms.frames.count} frames")
     published: dict[str, list[str]] = {}
-    for other in published_protocols(opened):
-        held = f"{other.name} ({', '.join(other.views.test)} held out, {other.frames.count} frames)"
-        published.setdefault(other.dataset, []).append(held)
+    for standard in published_protocols(opened):
+        choice = f"{standard.name} ({', '.join(standard.views.test)} held out, {standard.frames.count} frames)"
+        published.setdefault(standard.dataset, []).append(choice)
     for dataset, choices in published.items():
         print(f"if this is {dataset}: --protocol {' or '.join(choices)} evaluates as published")
 
@@ -118,6 +118,6 @@ def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
     for name, reason in reasons.items():
         names.setdefault(reason, []).append(name)
     return [
-        (", ".join(each) if len(each) <= MOST_NAMES else f"{each[0]} ... {each[-1]} ({len(each)})", reason)
-        for reason, each in names.items()
+        (", ".join(cameras) if len(cameras) <= MOST_NAMES else f"{cameras[0]} ... {cameras[-1]} ({len(cameras)})", reason)
+        for reason, cameras in names.items()
     ]

@@ -58,8 +58,8 @@ def check(
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
     look = partial(run_check, capture, out, layout=layout, units=given_units(units), workers=jobs)
     inspected, table = look()
-    if repair and (written := repair_capture(capture, inspected.findings)):
-        print(written)
+    if repair and (report := repair_capture(capture, inspected.findings)):
+        print(report)
         before = inspected.findings
         inspected, table = look()
         print(*describe_repair(before, inspected.findings), sep="\n")

@@ -72,13 +72,13 @@ def evaluate(
     from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
     from ggvs_eval.pipelines.inspection.capture.epipolar_findings import QUESTION as POSES_QUESTION
 
-    shown = _Steps()
+    steps = _Steps()
     uncalibrated = open_uncalibrated(videos) if reading.layout is None else None
     capture = out / "capture" if uncalibrated else videos
     if uncalibrated:
         _require_same(out, uncalibrated)
         if not (capture / CALIBRATED).is_file():
-            shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
+            steps.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
             calibrate.calibrate(videos, capture, calibration)
         elif lenses := changed_flags(calibration, RAW_VIDEOS):
             print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
@@ -86,7 +86,7 @@ def evaluate(
     opened = [*_flag("--layout", reading.layout), *_flag("--units", reading.units)]  # what `check` takes of them
     verdicts, terms = out / VERDICTS, out / "protocol.toml"
     out.mkdir(parents=True, exist_ok=True)
-    shown.begin("check", capture, "--out", verdicts, *(["--repair"] if repair else []), *opened)
+    steps.begin("check", capture, "--out", verdicts, *(["--repair"] if repair else []), *opened)
     try:
         check.check(capture, reading.layout, reading.units, verdicts, repair, jobs=engine.jobs)
     except SystemExit:
@@ -101,14 +101,14 @@ def evaluate(
         print(f"{capture}: check found poses alone at fault, which --calibration {poses} adjusts", file=sys.stderr)
     if not terms.exists():
         count = [] if frames is None else ["--frames", frames]
-        shown.begin("protocol", capture, terms, "--check", verdicts, *count, *flags)
+        steps.begin("protocol", capture, terms, "--check", verdicts, *count, *flags)
         captures.protocol(capture, terms, verdicts, frames=frames, reading=reading)
     elif frames is not None:
         print(f"{terms} is kept, --frames {frames} is ignored; choose another OUT for other frames", file=sys.stderr)
     named = [] if methods == USUAL_METHODS else ["--methods", *methods]
     flags = [*named, *_flag("--calibration", poses), *([] if device == "cpu" else ["--device", device]), *flags]
     flags += [*changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
-    shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
+    steps.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
     runs.run(out / "run", capture, str(terms), methods, poses=poses, device=device, reading=reading, depth=depth, engine=engine)
 
 

@@ -72,9 +72,9 @@ def _show_warning(
     line: str | None = None,
 ) -> None:
     """Write this package's warnings like its errors, without the place in the code; others as usual."""
-    ours = issubclass(category, GgvsWarning)
-    shown = f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, filename, lineno, line)
-    print(shown, file=file or sys.stderr, flush=True)
+    is_package_warning = issubclass(category, GgvsWarning)
+    text = f"ggvs-eval: {message}" if is_package_warning else warnings.formatwarning(message, category, filename, lineno, line)
+    print(text, file=file or sys.stderr, flush=True)
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:

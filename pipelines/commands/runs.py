@@ -78,8 +78,8 @@ def prepare(
 
     networks = _networks((), device)
     root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
-    chosen = _protocol(protocol, opened, poses)
-    plan = plan_run(RunRequest(root, opened, chosen, depth=depth, networks=networks))
+    terms = _protocol(protocol, opened, poses)
+    plan = plan_run(RunRequest(root, opened, terms, depth=depth, networks=networks))
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
@@ -174,7 +174,9 @@ def score(
         print(line)
     for metric, reason in results.not_computed.items():
         print(f"{metric} not computed: {reason}")
-    lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)
+    lacking = dict.fromkeys(
+        (absence.metric, absence.view or "all views of some methods", absence.reason) for absence in results.absences
+    )
     for metric, where, reason in lacking:
         print(f"{metric} not computed in {where}: {reason}")
     print(f"scores are in {target.root}; the page: ggvs-eval report {target.root}", file=sys.stderr)
@@ -258,8 +260,8 @@ def run(
         run_demos(root, labels, demo_plans(root, labels, unpack, depth, networks, in_stages=not dry_run), engine, dry_run)
         return
     opened = _open(reading, engine.place(capture), protocol) if capture else unpack.beside(root)
-    chosen = _protocol(protocol, opened, poses)
-    plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
+    terms = _protocol(protocol, opened, poses)
+    plan = plan_run(RunRequest(root, opened, terms, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
@@ -313,18 +315,18 @@ def sweep(
 
     definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run if there is a GPU
-    given = [_open(reading, engine.place(path), protocol) for path in capture]
-    captures = given or [unpack_rooms(reading.open, dry_run and plan is None).beside(engine.place(out))]
-    paths = [each.path for each in captures]
-    opened = {each.path.resolve().name: each for each in captures}
+    user_captures = [_open(reading, engine.place(path), protocol) for path in capture]
+    captures = user_captures or [unpack_rooms(reading.open, dry_run and plan is None).beside(engine.place(out))]
+    paths = [start.path for start in captures]
+    opened = {start.path.resolve().name: start for start in captures}
     if len(opened) < len(capture):
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
-    starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each, poses)) for folder, each in opened.items()}
+    starts = {folder if len(opened) > 1 else "": (start, _protocol(protocol, start, poses)) for folder, start in opened.items()}
     if plan:
         options = [*changed_flags(reading, CAPTURE_DEFAULTS), *changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
-        chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
-        chosen += [*(["--device", device] if device != "cpu" else []), *(["--calibration", poses] if poses else [])]
-        command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
+        flags = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
+        flags += [*(["--device", device] if device != "cpu" else []), *(["--calibration", poses] if poses else [])]
+        command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *flags, *options]
         print(PLANS["commands"](plan, engine.place(out), starts, definition, networks, command))
         return
     planned = plan_cells(engine.place(out), starts, definition, depth, networks, part)
@@ -362,12 +364,12 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         print(f"{folder}: {outdated}; run `ggvs-eval run` to update")
 
 
-def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is finished; run the same command to retry these") -> None:
+def _end_with(failures: tuple[Failure, ...], advice: str = "the rest is finished; run the same command to retry these") -> None:
     """List what failed, bugs of the package with their tracebacks, and end with 1."""
     for failure in failures:
         print(failure.traceback or "", f"failed: {failure}", sep="", file=sys.stderr)
     if failures:
-        sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; {rest}")
+        sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; {advice}")
 
 
 def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] = NO_SPLATS) -> NetworkOptions:
@@ -384,11 +386,11 @@ def _require_methods(methods: Sequence[str], networks: NetworkOptions) -> None:
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     checkpoints: dict[str, Path] = {}
-    for each in weights:
-        method, equals, file = each.partition("=")
+    for assignment in weights:
+        method, equals, file = assignment.partition("=")
         if not equals or method not in METHODS or not Path(file).is_file():
             able = ", ".join(label for label in weights_takers() if "+" not in label)
-            raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
+            raise WeightsError(f"--weights {assignment}: wanted METHOD=FILE with one of {able} and a file that exists")
         checkpoints[method] = Path(file).resolve()
     return checkpoints
 
@@ -416,6 +418,6 @@ def _missing_renders(run: RunFolder) -> str:
     from ggvs_eval.coverage import read_import
 
     views = run.protocol().views.test
-    own = [label for label in run.labels() if read_import(run, label) is None]
-    lacking = {label: [view for view in views if not run.renders(label, view).is_dir()] for label in own}
+    labels = [label for label in run.labels() if read_import(run, label) is None]
+    lacking = {label: [view for view in views if not run.renders(label, view).is_dir()] for label in labels}
     return "; ".join(f"{label} lacks {', '.join(some)}" for label, some in lacking.items() if some)

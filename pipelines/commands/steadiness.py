@@ -40,11 +40,11 @@ def steadiness(
         raise RenderError(
             "wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`"
         )
-    measured = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
+    result = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
     where = "in all pixels" if mask is None else f"where {mask.name} is white"
     table, remarks = (
-        steadiness_table(measured.metrics, measured.values, measured.not_computed, where),
-        remarks_on(measured.shapes),
+        steadiness_table(result.metrics, result.values, result.not_computed, where),
+        remarks_on(result.shapes),
     )
     print(to_markdown([table], remarks), end="")
     if out is not None:

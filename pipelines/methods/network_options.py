@@ -23,10 +23,10 @@ class NetworkOptions:
 AS_SHIPPED = NetworkOptions()
 
 
-def checked_device(wanted: str) -> str:
+def checked_device(name: str) -> str:
     """Return the device of a name, ``auto`` included."""
-    if wanted == "cpu":  # needs no torch
-        return wanted
+    if name == "cpu":  # needs no torch
+        return name
     from ggvs_eval.compute_device import compute_device
 
-    return str(compute_device(wanted))
+    return str(compute_device(name))

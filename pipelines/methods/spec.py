@@ -164,9 +164,9 @@ class MethodSpec(ABC):
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Render the shots of a unit, one by one."""
 
-    def guard(self, what: str, kind: type[GgvsError] = ViewRefusedError) -> AbstractContextManager[None]:
+    def guard(self, event: str, kind: type[GgvsError] = ViewRefusedError) -> AbstractContextManager[None]:
         """Turn what its code raises in a block into an error that says what it did, where a plug-in offers it."""
-        return foreign(f"method {self.title}: {what}", kind) if self.foreign else nullcontext()
+        return foreign(f"method {self.title}: {event}", kind) if self.foreign else nullcontext()
 
     def configured(self, label: str, variant: str) -> "MethodSpec":
         """Return the method with the options that its label names.
@@ -187,7 +187,7 @@ class OnlineMethod(MethodSpec):
 
     Attributes:
         maker: class of what renders one sequence, or its ``module:class``, which is imported only then.
-        given: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
+        arguments: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
             ``enerf+scale=0.5`` has any method render at a fraction of the size.
         takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a checkpoint, and ``options``, which
             are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
@@ -200,7 +200,7 @@ class OnlineMethod(MethodSpec):
 
     maker: str | Callable[..., Method]
     _: KW_ONLY
-    given: Mapping[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, Any] = field(default_factory=dict)
     takes: tuple[str, ...] = ()
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
@@ -226,19 +226,19 @@ class OnlineMethod(MethodSpec):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Options in `given` that the label fixes."""
-        return {name: value for name, value in self.given.items() if name not in TAKEN}
+        """Options in `arguments` that the label fixes."""
+        return {name: value for name, value in self.arguments.items() if name not in TAKEN}
 
     def make(self) -> Method:
         """Make a fresh object that renders one sequence."""
-        given = dict(self.given)
-        scale = given.pop("scale", None)
+        arguments = dict(self.arguments)
+        scale = arguments.pop("scale", None)
         if self.checkpoint and not self.weights:
             raise WeightsError(f"{self.title_from or self.title}: wanted weights {self.checkpoint}")
         if self.checkpoint:
-            given.setdefault("weights", self.weights[0])
+            arguments.setdefault("weights", self.weights[0])
         maker = resolve_name(self.maker) if isinstance(self.maker, str) else self.maker
-        make = partial(maker, **given)
+        make = partial(maker, **arguments)
         method = ForeignMethod(self.title, make) if self.foreign else make()
         return method if scale is None else AtScale(method, scale)
 
@@ -261,29 +261,29 @@ class OnlineMethod(MethodSpec):
         Raises:
             RenderError: unknown options, or an invalid scale.
         """
-        values, given, departs = option_values(variant), dict(self.given), self.departs
+        values, arguments, departs = option_values(variant), dict(self.arguments), self.departs
         if "scale" in values:
-            given["scale"] = scale = values.pop("scale")
+            arguments["scale"] = scale = values.pop("scale")
             if type(scale) is not float or not 0 < scale < 1 or not self.online:
                 raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
         if values and "options" not in self.takes:
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
         if values:
-            given["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
+            arguments["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
             departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
-        return replace(self, title=title, given=given, departs=departs)
+        return replace(self, title=title, arguments=arguments, departs=departs)
 
     def on(self, device: str) -> "OnlineMethod":
         """Return the method with its networks on a device."""
         if device == self.device or "device" not in self.takes:
             return self
-        return replace(self, given={**self.given, "device": device}, device=device)
+        return replace(self, arguments={**self.arguments, "device": device}, device=device)
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
         """Return the method with a file of weights that the user gave."""
-        given, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
-        return replace(self, title=self.title_from or self.title, given=given, takes=takes, weights=(checkpoint,))
+        arguments, takes = {**self.arguments, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
+        return replace(self, title=self.title_from or self.title, arguments=arguments, takes=takes, weights=(checkpoint,))
 
 
 class ForeignMethod:
@@ -307,11 +307,11 @@ class ForeignMethod:
             ViewRefusedError: any exception of the method, or no picture of numbers of the target's size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
-            shown = deepcopy(instant)
+            instant_copy = deepcopy(instant)
             begun = perf_counter()
-            made = self._method.step(shown)
+            output = self._method.step(instant_copy)
             seconds = perf_counter() - begun
-            rendering = _checked(made, instant.target)
+            rendering = _checked(output, instant.target)
             return rendering if rendering.seconds else replace(rendering, seconds={"step": seconds})
 
     def _looked_ahead(self, instants: Iterable[Instant]) -> None:
@@ -319,15 +319,15 @@ class ForeignMethod:
             self._method.look_ahead(map(deepcopy, instants))  # type: ignore[attr-defined]
 
 
-def _checked(made: Any, target: Camera) -> Rendering:
-    wanted = target.height, target.width, 3
-    if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
-        raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
-    if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
-        got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
-        raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
-    sum(made.seconds.values())  # numbers, or it raises
-    return made
+def _checked(output: Any, target: Camera) -> Rendering:
+    shape = target.height, target.width, 3
+    if not isinstance(output, Rendering) or not isinstance(output.image, np.ndarray):
+        raise TypeError(f"wanted a Rendering with an image, got {type(getattr(output, 'image', output)).__name__}")
+    if output.image.shape != shape or output.image.dtype.kind != "f" or not np.isfinite(output.image).all():
+        got = f"{output.image.dtype} {output.image.shape}" + (", not all finite" if output.image.shape == shape else "")
+        raise ValueError(f"wanted an image of floats in [0, 1], {shape}, got {got}")
+    sum(output.seconds.values())  # numbers, or it raises
+    return output
 
 
 @dataclass(frozen=True)
@@ -354,8 +354,8 @@ class SceneMethod(MethodSpec):
             scene = self.scene(unit)
         for _, frame, target in unit.shots:
             with self.guard(f"failed at instant {frame}"):
-                made = scene.render(frame, deepcopy(target))
-                rendering = _checked(made, target) if self.foreign else made
+                output = scene.render(frame, deepcopy(target))
+                rendering = _checked(output, target) if self.foreign else output
             yield rendering
 
 

@@ -133,7 +133,9 @@ def splats_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     try:
-        iterations = {int(number[1]): each for each in path.glob("point_cloud/*") if (number := ITERATION.fullmatch(each.name))}
+        iterations = {
+            int(number[1]): folder for folder in path.glob("point_cloud/*") if (number := ITERATION.fullmatch(folder.name))
+        }
         place = iterations[max(iterations)] if iterations else path
         files = [place / CLOUD] if (place / CLOUD).is_file() else list_files(place, (".ply",))
     except OSError as error:
@@ -204,10 +206,8 @@ def _numbered(files: Sequence[Path], path: Path, n_frames: int) -> Mapping[int, 
         if not isinstance(number, int) or is_stamp(number):
             raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
         if number in numbers:
-            other = numbers[number][0].name
-            raise RenderError(
-                f"{path}: {other} and {file.name} are both of frame {number}; give a folder with one file per frame"
-            )
+            name = numbers[number][0].name
+            raise RenderError(f"{path}: {name} and {file.name} are both of frame {number}; give a folder with one file per frame")
         numbers[number] = (file, 0)
     counts_from_1 = sorted(numbers) == [*range(1, n_frames + 1)]
     return {number - counts_from_1: place for number, place in numbers.items()}

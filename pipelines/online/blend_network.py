@@ -115,8 +115,8 @@ class BlendNetwork(nn.Module):
         if self.refiner is None:
             return picture
         coverage, depth = views["coverage"], views["fused_depth"]
-        used = depth if self.config.guidance in GUIDED else torch.zeros_like(depth)
-        evidence_maps = evidence(picture, views["colours"], outputs.weights * coverage, coverage, used)
+        guide = depth if self.config.guidance in GUIDED else torch.zeros_like(depth)
+        evidence_maps = evidence(picture, views["colours"], outputs.weights * coverage, coverage, guide)
         return self.refiner(picture, evidence_maps, outputs.features)
 
 
@@ -218,7 +218,7 @@ class UNet(nn.Module):
         widths = [width << level for level in range(LEVELS + 1)]
         befores = [inputs, *widths[:-1]]
         self.down = nn.ModuleList(_block(before, after) for before, after in zip(befores, widths, strict=True))
-        self.up = nn.ModuleList(_block(3 * each, each) for each in reversed(widths[:-1]))
+        self.up = nn.ModuleList(_block(3 * level_width, level_width) for level_width in reversed(widths[:-1]))
         self.pool = nn.MaxPool2d(3, 2, 1)
         self.last = nn.Conv2d(width, outputs, 1)
 
@@ -254,13 +254,13 @@ def margins(size: int) -> tuple[int, int]:
     return missing // 2, missing - missing // 2
 
 
-def unet_outputs(unet: UNet, channels: Map, given: NDArray[np.intp] | None = None) -> Map:
+def unet_outputs(unet: UNet, channels: Map, indices: NDArray[np.intp] | None = None) -> Map:
     """Evaluate a U-Net on channels (inputs, H, W): (outputs, H, W), float32.
 
     Args:
         unet: its weights.
         channels: its inputs, or some of them.
-        given: numbers of the inputs that `channels` are, ascending, all unless given. The others are 0: sums are the same bits
+        indices: numbers of the inputs that `channels` are, ascending, all unless given. The others are 0: sums are the same bits
             without them.
 
     `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need one thread for equal bits:
@@ -271,15 +271,15 @@ def unet_outputs(unet: UNet, channels: Map, given: NDArray[np.intp] | None = Non
     """
     from ggvs_eval.kernels import _core
 
-    chosen = None if given is None else tuple(given.tolist())
-    layers = packed_once(unet, chosen, lambda: _layers(unet, given))
+    key = None if indices is None else tuple(indices.tolist())
+    layers = packed_once(unet, key, lambda: _layers(unet, indices))
     last = np.ascontiguousarray(parameter_map(unet.last, "weight")[:, :, 0, 0]), parameter_map(unet.last, "bias")
     epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
     inputs = np.ascontiguousarray(channels, np.float32)
     return _core.unet(inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
-def _layers(unet: UNet, given: NDArray[np.intp] | None) -> list[tuple[Map, Map, Map, Map]]:
+def _layers(unet: UNet, indices: NDArray[np.intp] | None) -> list[tuple[Map, Map, Map, Map]]:
     """Packed filters and bias, gain and shift of all convolutions and the normalisations behind them, in order of use."""
     from ggvs_eval.kernels import _core
 
@@ -289,8 +289,8 @@ def _layers(unet: UNet, given: NDArray[np.intp] | None) -> list[tuple[Map, Map, 
     layers: list[tuple[Map, Map, Map, Map]] = []
     for convolution, norm in zip(convolutions, norms, strict=True):
         weights, bias = parameter_map(convolution, "weight"), parameter_map(convolution, "bias")
-        if given is not None and not layers:
-            weights = weights[:, given]
+        if indices is not None and not layers:
+            weights = weights[:, indices]
         layers.append((*_core.pack_filters(weights, bias), parameter_map(norm, "weight"), parameter_map(norm, "bias")))
     return layers
 
@@ -303,11 +303,11 @@ def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) ->
         key: anything else it depends on.
         pack: makes what is kept.
     """
-    state = key, tuple((each.data_ptr(), each.stride(), _version(each)) for each in module.parameters())
-    kept = _kept.get(module)
-    if kept is None or kept[0] != state:
-        kept = _kept[module] = state, pack()
-    return kept[1]  # type: ignore[return-value]
+    state = key, tuple((parameter.data_ptr(), parameter.stride(), _version(parameter)) for parameter in module.parameters())
+    cached = _kept.get(module)
+    if cached is None or cached[0] != state:
+        cached = _kept[module] = state, pack()
+    return cached[1]  # type: ignore[return-value]
 
 
 def _version(parameter: nn.Parameter) -> int:
@@ -353,7 +353,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     Raises:
         WeightsError: absent, damaged, or tensors of no blending network.
     """
-    tensors = BlendNetwork.completed(read_tensors(path, of=NETWORK))
+    tensors = BlendNetwork.completed(read_tensors(path, model=NETWORK))
     network = BlendNetwork(_configuration(tensors, path))
     load_strict(tensors, network, path, NETWORK)
     if device.type != "cpu":

@@ -161,14 +161,14 @@ def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[
     lattices = [lattice(source, picture) for source, picture in zip(sources, pictures, strict=True)]
     pairs, likeness = {}, np.full((len(sources), len(sources)), np.nan)
     for j, k in combinations(range(len(sources)), 2):
-        there, *seen_there = log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance)
+        forward, *seen_there = log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance)
         back, *seen_back = log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance)
-        looks, (seen, close) = np.concatenate([there, -back]), np.add(seen_there, seen_back)
+        looks, (n_seen, close) = np.concatenate([forward, -back]), np.add(seen_there, seen_back)
         if len(looks) >= FEWEST:
             pairs[j, k] = looks
-        if seen >= FEWEST:
+        if n_seen >= FEWEST:
             apart = np.abs(looks[:, :3] - (np.median(looks[:, :3], axis=0) if len(looks) else 0))
-            likeness[j, k] = likeness[k, j] = (np.count_nonzero((apart < LIKE).all(axis=1)) + close) / seen
+            likeness[j, k] = likeness[k, j] = (np.count_nonzero((apart < LIKE).all(axis=1)) + close) / n_seen
     return pairs, [len(points) for points, _ in lattices], likeness
 
 
@@ -195,7 +195,7 @@ def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
 
 
 def log_ratios(
-    points_of: tuple[Map, Map], camera: Camera, other: SourceView, picture: Map, tolerance: float
+    points_of: tuple[Map, Map], camera: Camera, source: SourceView, picture: Map, tolerance: float
 ) -> tuple[Map, int, int]:
     """Logarithms of one source's colours less those of another one, at the points that both see in their linear range, (M, 4).
 
@@ -205,26 +205,26 @@ def log_ratios(
     Args:
         points_of: the first source's `lattice`.
         camera: of the first source.
-        other: the second source.
+        source: the second source.
         picture: its `reduced` image.
         tolerance: depths that differ by less are the same surface, world units.
     """
     points, logarithms = points_of
-    K, size, to_other = other.camera.K, other.camera.size, rigid_between(camera, other.camera).astype(np.float32)
+    K, size, to_other = source.camera.K, source.camera.size, rigid_between(camera, source.camera).astype(np.float32)
     x, y, z = (points @ to_other[:3, :3].T + to_other[:3, 3]).T
     z = np.where(z > 0, z, np.float32(np.inf))  # behind the other camera: depths never agree
     u = (K[0, 0] * x / z + K[0, 2]).astype(np.float32)
     v = (K[1, 1] * y / z + K[1, 2]).astype(np.float32)
-    chosen = np.flatnonzero((u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1]))
-    u, v, z = u[chosen], v[chosen], z[chosen]
-    agrees = np.abs(other.depth[v.astype(np.intp), u.astype(np.intp)] - z) < tolerance
+    inside = np.flatnonzero((u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1]))
+    u, v, z = u[inside], v[inside], z[inside]
+    agrees = np.abs(source.depth[v.astype(np.intp), u.astype(np.intp)] - z) < tolerance
     colours = sampled(picture, u[agrees] / REDUCTION - 0.5, v[agrees] / REDUCTION - 0.5)
     counts = linear(colours)
-    both = chosen[agrees][counts]
-    own, others = points[both], np.stack([x[both], y[both], z[agrees][counts]], axis=-1)
-    spans = _squared_tangents(own) - _squared_tangents(others)
-    beside = np.abs(np.exp(logarithms[chosen[agrees][~counts]]) - colours[~counts]) <= DARK
-    looks = np.concatenate([logarithms[both] - np.log(colours[counts]), spans[:, None]], axis=1, dtype=np.float32)
+    shared = inside[agrees][counts]
+    own_points, other_points = points[shared], np.stack([x[shared], y[shared], z[agrees][counts]], axis=-1)
+    spans = _squared_tangents(own_points) - _squared_tangents(other_points)
+    beside = np.abs(np.exp(logarithms[inside[agrees][~counts]]) - colours[~counts]) <= DARK
+    looks = np.concatenate([logarithms[shared] - np.log(colours[counts]), spans[:, None]], axis=1, dtype=np.float32)
     return looks, len(counts), int(beside.all(axis=1).sum())
 
 

@@ -146,14 +146,13 @@ class GeometryGuided:
 
     def __init__(self, options: OnlineOptions | None = None, blender: Blender | None = None) -> None:
         """Start a sequence with the given constants and blender (geometric weights unless given a network)."""
-        self.options = options or OnlineOptions()
+        self.options = options = options or OnlineOptions()
         self.blender: Blender = blender or GeometricBlender()
-        chosen = self.options
-        self._filter = chosen.depth_filter()
+        self._filter = options.depth_filter()
         self._previous: _Fused | None = None
-        self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
-        self._background = RememberedBackground() if chosen.temporal and chosen.remembered else None
-        self._compensation = ExposureCompensation() if chosen.temporal else ExposureCompensation(memory=1)
+        self._output = RecurrentOutput(options.recurrent_limit if options.temporal else 0.0)
+        self._background = RememberedBackground() if options.temporal and options.remembered else None
+        self._compensation = ExposureCompensation() if options.temporal else ExposureCompensation(memory=1)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
@@ -167,9 +166,9 @@ class GeometryGuided:
         # Gains are looked up by a single thread; the weights need no colours.
         filtered, weights = side_by_side(partial(self._compensated, filtered), partial(self._weights, filtered))
         names = [source.camera.name for source in filtered.sources]  # without any whose colours are like no other's
-        kept = [k for k, source in enumerate(instant.sources) if source.camera.name in names]
-        instant = replace(instant, sources=tuple(instant.sources[k] for k in kept))
-        changes, weights = tuple(changes[k] for k in kept), [weights[k] for k in kept if weights]
+        places = [k for k, source in enumerate(instant.sources) if source.camera.name in names]
+        instant = replace(instant, sources=tuple(instant.sources[k] for k in places))
+        changes, weights = tuple(changes[k] for k in places), [weights[k] for k in places if weights]
         marks.append(perf_counter())
         splats = self._splat(instant, filtered, changes)
         marks.append(perf_counter())
@@ -199,10 +198,10 @@ class GeometryGuided:
 
     def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> tuple[Map, dict[str, Map]]:
         """Blend the views, apply temporal blending in static regions; return image and diagnostics."""
-        chosen = self.options
+        options = self.options
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
-        inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered), chosen.forgiven_px)
+        inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered), options.forgiven_px)
 
         def judged() -> tuple[Map, dict[str, Map]]:
             still = self._stillness(filtered, splats, depth, changes)
@@ -212,7 +211,7 @@ class GeometryGuided:
         if blended.weights is not None:
             diagnostics["weights"] = blended.weights
         image = np.asarray(blended.image, np.float32)
-        if chosen.compensated:
+        if options.compensated:
             image = self._compensation.finish(image, target)
         if self._background is not None:
             image = self._background.step(index, target, image, surface, splats, still)
@@ -221,26 +220,26 @@ class GeometryGuided:
 
     def _stillness(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> Map:
         """Certainty that nothing moves, by the views that were there at the instant before."""
-        known = [k for k, change in enumerate(changes) if change is not None]
-        if not known:
+        places = [k for k, change in enumerate(changes) if change is not None]
+        if not places:
             return np.zeros_like(cells(splats[0].alpha))
         if depth is None:
             most = np.argmax([view.alpha for view in splats], axis=0)
             depth = np.choose(most, [view.depth for view in splats])
-        views, informed = [filtered.sources[k] for k in known], [change for change in changes if change is not None]
-        largest = splatted_change([splats[k] for k in known], self.options.beta_mask, self.options.lambda_t)
+        views, informed = [filtered.sources[k] for k in places], [change for change in changes if change is not None]
+        largest = splatted_change([splats[k] for k in places], self.options.beta_mask, self.options.lambda_t)
         return stillness(filtered.target, depth, views, informed, largest, SAME_SURFACE_TAU * self._tau(filtered))
 
     def _splat(self, instant: Instant, filtered: Instant, changes: Changes) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
-        target, near, chosen, splats = instant.target, instant.near_plane, self.options, []
+        target, near, options, splats = instant.target, instant.near_plane, self.options, []
         for source, view, change in zip(instant.sources, filtered.sources, changes, strict=True):
             mask = np.ones_like(source.depth) if change is None else change.mask
-            shown = view if chosen.splatted_depth == "filtered" else replace(view, depth=source.depth)
-            if chosen.splatted_as == "points":
-                splats.append(splat_points(shown, target, near=near, extra=mask))
+            splatted_view = view if options.splatted_depth == "filtered" else replace(view, depth=source.depth)
+            if options.splatted_as == "points":
+                splats.append(splat_points(splatted_view, target, near=near, extra=mask))
             else:
-                splats.append(splat([shown], target, near=near, extras=[mask], scale=chosen.gaussian_scale_px))
+                splats.append(splat([splatted_view], target, near=near, extras=[mask], scale=options.gaussian_scale_px))
         return splats
 
     def _fused_depth(self, filtered: Instant, weights: list[Map], splats: list[Splat], changes: Changes) -> Map:
@@ -366,6 +365,6 @@ class RememberedBackground:
 
         memory.index = index
         alphas = [np.ascontiguousarray(view.alpha, np.float32) for view in splats]
-        seen, image = np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(image, np.float32)
-        _core.remember(seen, still, alphas, RULES, image, memory.image, memory.depth, get_threads())
+        depth_map, image = np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(image, np.float32)
+        _core.remember(depth_map, still, alphas, RULES, image, memory.image, memory.depth, get_threads())
         return image

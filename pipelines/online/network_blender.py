@@ -87,10 +87,10 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     from ggvs_eval.kernels import _core
 
     arrays = (maps.colours, maps.coverage, maps.visibilities)
-    colours, coverage, visibilities = (np.ascontiguousarray(each, np.float32) for each in arrays)
-    alphas = [np.ascontiguousarray(each, np.float32) for each in maps.alphas]
-    found = _core.overview(colours, coverage, visibilities, alphas, _depths(maps), *_overview_settings(maps.weights, scale))
-    return _overview(maps, scale, *found)
+    colours, coverage, visibilities = (np.ascontiguousarray(array, np.float32) for array in arrays)
+    alphas = [np.ascontiguousarray(array, np.float32) for array in maps.alphas]
+    outputs = _core.overview(colours, coverage, visibilities, alphas, _depths(maps), *_overview_settings(maps.weights, scale))
+    return _overview(maps, scale, *outputs)
 
 
 def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]:
@@ -100,15 +100,15 @@ def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
     registration = registration_arguments(target, inputs.depth, sources, splats, inputs.tau, inputs.forgiven_px)
     weights = view_weights(target, [source.camera for source in sources], [source.share for source in sources])
-    depths = [np.ascontiguousarray(each, np.float32) for each in (*(view.depth for view in splats), inputs.depth)]
+    depths = [np.ascontiguousarray(array, np.float32) for array in (*(view.depth for view in splats), inputs.depth)]
     arguments = (*registration, float(FAINT), depths, *_overview_settings(weights, scale))
-    stacks, found = _core.register_and_overview(*arguments)
+    stacks, outputs = _core.register_and_overview(*arguments)
     maps = maps_of(inputs, stacks)
-    return maps, _overview(maps, scale, *found)
+    return maps, _overview(maps, scale, *outputs)
 
 
 def _depths(maps: BlendMaps) -> list[Map]:
-    return [np.ascontiguousarray(each, np.float32) for each in (*maps.depths, maps.fused_depth)]
+    return [np.ascontiguousarray(array, np.float32) for array in (*maps.depths, maps.fused_depth)]
 
 
 def _overview_settings(weights: Map, scale: int) -> tuple[Map, int, float, int, int]:
@@ -128,12 +128,12 @@ class Composed:
     Attributes:
         picture: (3, H, W), float32.
         spread: standard deviation of the views, (H, W).
-        shown: sum of the views' coverages, (H, W).
+        coverage: sum of the views' coverages, (H, W).
     """
 
     picture: Map
     spread: Map
-    shown: Map
+    coverage: Map
 
     def image(self) -> Map:
         """Return the picture, (H, W, 3), in [0, 1]."""
@@ -171,7 +171,7 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
 
     depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
     layers = _conditioned(packed_once(refiner, None, lambda: _layers(refiner)), refiner, picture)
-    evidence = picture.picture, picture.spread, picture.shown, depth
+    evidence = picture.picture, picture.spread, picture.coverage, depth
     return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
@@ -186,8 +186,8 @@ def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: 
         (filters, bias + np.pad(shift, (0, len(bias) - len(shift))), count)
         for (filters, bias, count), shift in zip(layers[:-1], shifts, strict=True)
     ]
-    taps, *rest = layers[-1]
-    return [*shifted, (taps * (1 + gain)[:, None], *rest)]
+    taps, *remainder = layers[-1]
+    return [*shifted, (taps * (1 + gain)[:, None], *remainder)]
 
 
 def statistics_of(picture: Composed) -> NDArray[np.float64]:
@@ -323,11 +323,11 @@ class NetworkBlender:
 
 def without_blind(inputs: BlendingInputs) -> BlendingInputs:
     """The inputs without the views that cover no pixel of the target, unless none does: what is blind takes no view's place."""
-    kept = [k for k, splat in enumerate(inputs.splats) if splat.alpha.max(initial=0) >= COVERED_ALPHA]
-    if not 0 < len(kept) < len(inputs.splats):
+    places = [k for k, splat in enumerate(inputs.splats) if splat.alpha.max(initial=0) >= COVERED_ALPHA]
+    if not 0 < len(places) < len(inputs.splats):
         return inputs
-    instant = replace(inputs.instant, sources=tuple(inputs.instant.sources[k] for k in kept))
-    return replace(inputs, instant=instant, splats=[inputs.splats[k] for k in kept])
+    instant = replace(inputs.instant, sources=tuple(inputs.instant.sources[k] for k in places))
+    return replace(inputs, instant=instant, splats=[inputs.splats[k] for k in places])
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = None) -> Blended:
@@ -362,9 +362,9 @@ def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]
     channels = network_channels(reduced, config.guidance, views)
     raw = unet_outputs(network.unet, channels, present_channels(views, config.views, config.guidance))
     logarithms = np.log(np.maximum(reduced.weights, np.float32(NO_WEIGHT)))
-    coverage, seen = (np.ascontiguousarray(each, np.float32) for each in (reduced.coverage, reduced.visibilities))
+    coverage, visibilities = (np.ascontiguousarray(array, np.float32) for array in (reduced.coverage, reduced.visibilities))
     level = SIMD_LEVELS.index(get_simd_level())
-    return _core.read_outputs(raw, logarithms, coverage, seen, config.views, SURE, get_threads(), level)
+    return _core.read_outputs(raw, logarithms, coverage, visibilities, config.views, SURE, get_threads(), level)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:

@@ -144,8 +144,8 @@ def _averaged(maps: Map, scale: int) -> Map:
 
 def _parts(size: int, scale: int) -> list[slice]:
     """Return the whole blocks of a side and what is left of it: only that needs to be continued, which copies."""
-    whole = size // scale * scale
-    return [part for part in (slice(0, whole), slice(whole, size)) if part.start < part.stop]
+    end = size // scale * scale
+    return [part for part in (slice(0, end), slice(end, size)) if part.start < part.stop]
 
 
 def _whole_blocks(image: Map, scale: int) -> Map:
@@ -281,9 +281,9 @@ def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
     along_column = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
     normals = _unit(np.cross(along_column, along_row, axis=0))
     around = np.pad(has_depth, 1, mode="edge")
-    whole = has_depth & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
+    is_smooth = has_depth & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
     facing = -np.sign(_dot(normals, points))
-    return normals * (facing * whole)
+    return normals * (facing * is_smooth)
 
 
 def _distance(first: Camera, second: Camera) -> float:
@@ -300,9 +300,9 @@ def _constant(values: Sequence[float], size: tuple[int, ...]) -> Map:
     return np.broadcast_to(np.array(values, np.float32)[:, None, None], (len(values), *size))
 
 
-def _cosines(directions: Sequence[Map], other: Map) -> Map:
+def _cosines(directions: Sequence[Map], target: Map) -> Map:
     """Between each of K fields of unit vectors and another one, (K, H, W)."""
-    return np.stack([_dot(each, other) for each in directions])
+    return np.stack([_dot(direction, target) for direction in directions])
 
 
 def _inverse(depth: Map, unit: float) -> Map:
@@ -332,7 +332,7 @@ def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
 
     target, unit = maps.target, reference_depth(maps.fused_depth, maps.target)
     stacks = (maps.colours, maps.depths, maps.alphas)
-    colours, depths, alphas = (np.ascontiguousarray(each, np.float32) for each in stacks)
+    colours, depths, alphas = (np.ascontiguousarray(stack, np.float32) for stack in stacks)
     visibilities = np.ascontiguousarray(maps.visibilities, np.float32) if guidance == "registered" else None
     fused = np.ascontiguousarray(maps.fused_depth, np.float32)
     centres = np.stack([rigid_between(source, target)[:3, 3] for source in maps.sources])

@@ -77,7 +77,7 @@ def printed_march(
         min_step: smallest step, in tau.
         reading: of the fused field.
     """
-    views = [_view(target, *each) for each in zip(cameras, depths, weights, strict=True)]
+    views = [_view(target, *view) for view in zip(cameras, depths, weights, strict=True)]
     if previous is not None:
         gain = previous.gain.reshape(-1).astype(np.float64)
         views.append(_view(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
@@ -98,11 +98,11 @@ def _crossings(
     end = march_end(target, tau, min_step, [camera.depth for camera in cameras])
     while active.size:
         s, total = _field(cameras, active, z, tau, reading)
-        here = np.stack([z, s, total])
+        sample = np.stack([z, s, total])
         crossed = (total > 0) & (s <= 0) & np.isfinite(before[0])
-        crossings.append((before[:, crossed], here[:, crossed], active[crossed]))
+        crossings.append((before[:, crossed], sample[:, crossed], active[crossed]))
         positive = (total > 0) & (s > 0)
-        before = np.where(positive, here, np.nan)
+        before = np.where(positive, sample, np.nan)
         z = z + tau * np.where(positive, np.maximum(STEP_FRACTION * s, min_step), STEP_FRACTION)
         going = ~crossed & (z <= end)
         active, z, before = active[going], z[going], before[:, going]

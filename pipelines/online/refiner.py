@@ -135,12 +135,12 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, visibilities: Te
 
 def relief(logarithm: Tensor, has_depth: Tensor) -> Tensor:
     """Return the logarithm of depth less its mean over what is known within 5 x 5 pixels, (B, H, W), 0 where unknown."""
-    both = torch.stack([logarithm * has_depth, has_depth.float()], dim=1)
-    means = functional.avg_pool2d(both, 5, 1, 2)
+    maps = torch.stack([logarithm * has_depth, has_depth.float()], dim=1)
+    means = functional.avg_pool2d(maps, 5, 1, 2)
     return (logarithm - means[:, 0] / means[:, 1].clamp(min=1e-6)) * has_depth
 
 
 def local_range(values: Tensor, size_px: int) -> Tensor:
     """Return the largest less smallest value within a square window, (B, H, W)."""
-    both = torch.stack([values, -values], dim=1)
-    return functional.max_pool2d(both, size_px, 1, size_px // 2).sum(dim=1)
+    bounds = torch.stack([values, -values], dim=1)
+    return functional.max_pool2d(bounds, size_px, 1, size_px // 2).sum(dim=1)

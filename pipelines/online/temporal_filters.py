@@ -39,13 +39,13 @@ class Change:
 
     Attributes:
         before: image of that instant, RGB uint8 (H, W, 3).
-        now: image of this one.
+        image: image of this one.
         colours: of cells, see `colour_change`.
         mask: M^t, (H, W), see `difference_mask`.
     """
 
     before: Image8
-    now: Image8
+    image: Image8
     colours: Map
     mask: Map
 
@@ -109,7 +109,7 @@ def filter_depth(depth: Map, history: Map, mask: Map, tolerance: float) -> Map:
     """
     from ggvs_eval.kernels import _core
 
-    new, old, weight = (np.ascontiguousarray(each, np.float32) for each in (depth, history, mask))
+    new, old, weight = (np.ascontiguousarray(array, np.float32) for array in (depth, history, mask))
     return _core.mix_depth(new, old, weight, tolerance, get_threads())
 
 
@@ -166,19 +166,19 @@ class RecurrentOutput:
         before, age, new = self._shown, np.ones_like(still), cells(image)
         if before is not None and before.index == index - 1 and before.target.shows_the_same_rays(target):
             most = np.float32((1 + self._limit) / (1 - self._limit))  # instants that a mean of such weights is worth
-            past, last, now, known = _finite(cells(before.image), before.new, new)
-            still = still * agreement(now, past, last, np.minimum(before.age, most)) * known
+            past, last, present, is_known = _finite(cells(before.image), before.new, new)
+            still = still * agreement(present, past, last, np.minimum(before.age, most)) * is_known
             age += still * before.age
             weight = still * np.minimum(1 - 1 / age, np.float32(self._limit))
-            image = mixed(image, before.image, weight, past - now)
+            image = mixed(image, before.image, weight, past - present)
         self._shown = _Shown(index, target, image, new, age)
         return image
 
 
 def _finite(past: Map, last: Map, new: Map) -> tuple[Map, Map, Map, Mask]:
     """Return three images of cells, black where any of them is not finite, and where all are: nothing else has a past."""
-    known = np.isfinite(past + last + new).all(axis=2)
-    return *(np.where(known[..., None], image, np.float32(0)) for image in (past, last, new)), known
+    is_known = np.isfinite(past + last + new).all(axis=2)
+    return *(np.where(is_known[..., None], image, np.float32(0)) for image in (past, last, new)), is_known
 
 
 def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
@@ -223,8 +223,8 @@ def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
 
     change = light(change, weight)
     maps = np.stack([weight, *(weight * change[..., channel] for channel in range(3))])
-    now, before = (np.ascontiguousarray(each, np.float32) for each in (image, past))
-    return _core.recur(now, before, maps, get_threads())
+    present, before = (np.ascontiguousarray(array, np.float32) for array in (image, past))
+    return _core.recur(present, before, maps, get_threads())
 
 
 def stillness(
@@ -252,11 +252,11 @@ def stillness(
     """
     small, surface = middle_rays(target), cells(depth)
     still = np.ones_like(surface)
-    for seen in (_pixels(small, surface, views, changes, tolerance), _means(small, surface, views, changes, tolerance)):
-        shared, apart, known = shared_change(seen)
-        still *= falling(shared / np.maximum(apart, np.float32(LEAST_NOISE**2)), *SHARED) * known
-    if known.any():
-        noise = np.clip(np.sqrt(max(np.median(apart[known]), 0)), LEAST_NOISE, MOST_NOISE)
+    for looks in (_pixels(small, surface, views, changes, tolerance), _means(small, surface, views, changes, tolerance)):
+        shared, apart, is_known = shared_change(looks)
+        still *= falling(shared / np.maximum(apart, np.float32(LEAST_NOISE**2)), *SHARED) * is_known
+    if is_known.any():
+        noise = np.clip(np.sqrt(max(np.median(apart[is_known]), 0)), LEAST_NOISE, MOST_NOISE)
         still *= falling(largest / np.float32(noise), *LARGEST)
     return still
 
@@ -264,19 +264,19 @@ def stillness(
 def _pixels(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
     """Return the change of single pixels in each view, where the cells of the target look."""
     return [
-        warp_change(target, depth, replace(view, image=change.now), change.before, tolerance)
+        warp_change(target, depth, replace(view, image=change.image), change.before, tolerance)
         for view, change in zip(views, changes, strict=True)
     ]
 
 
 def _means(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
     """Return the change of mean colours in each view, where the cells of the target look."""
-    found = []
+    warps = []
     for view, change in zip(views, changes, strict=True):
         height, width = change.colours.shape[:2]
         small, depths = view.camera.resized(width, height), cells(view.depth, (height, width))
-        found.append(warp(target, depth, small, change.colours, depths, tolerance))
-    return found
+        warps.append(warp(target, depth, small, change.colours, depths, tolerance))
+    return warps
 
 
 def shared_change(views: Sequence[Warp]) -> tuple[Map, Map, Map]:
@@ -289,17 +289,18 @@ def shared_change(views: Sequence[Warp]) -> tuple[Map, Map, Map]:
         Energy per channel of both, (h, w), and where enough pairs of views look.
     """
     size = views[0].visibility.shape
-    total, (energy, looks, own) = np.zeros((*size, 3), np.float32), np.zeros((3, *size), np.float32)
-    for seen in views:
-        weighted = seen.visibility[..., None] * (seen.colour - light(seen.colour, seen.visibility))
+    total, (energy, looks, squares) = np.zeros((*size, 3), np.float32), np.zeros((3, *size), np.float32)
+    for view in views:
+        weighted = view.visibility[..., None] * (view.colour - light(view.colour, view.visibility))
         total += weighted
         energy += mean_square(weighted)
-        looks += seen.visibility
-        own += seen.visibility**2
-    sums = np.dstack([mean_square(total) - energy, looks**2 - own, energy, own])  # the first two: of all pairs, each twice
-    products, pairs, energy, own = pooled(sums)
+        looks += view.visibility
+        squares += view.visibility**2
+    # The first two are of all pairs, each twice.
+    sums = np.dstack([mean_square(total) - energy, looks**2 - squares, energy, squares])
+    products, pairs, energy, squares = pooled(sums)
     shared = products / np.maximum(pairs, NEVER)
-    return shared, energy / np.maximum(own, NEVER) - shared, pairs > 2 * LEAST_LOOKS
+    return shared, energy / np.maximum(squares, NEVER) - shared, pairs > 2 * LEAST_LOOKS
 
 
 def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) -> Map:

@@ -26,19 +26,19 @@ class Timing:
 
     Attributes:
         rows: stage -> seconds of each frame.
-        seen: share of each frame's view that the cameras see, see `seen_share`.
+        seen_shares: share of each frame's view that the cameras see, see `seen_share`.
     """
 
     rows: list[dict[str, float]] = field(default_factory=list)
-    seen: list[float] = field(default_factory=list)
+    seen_shares: list[float] = field(default_factory=list)
 
     @property
     def outside(self) -> str:
         """Frames of views that the cameras do not see, in words; empty if there is none."""
-        count = sum(share < LEAST_SEEN for share in self.seen)
+        count = sum(share < LEAST_SEEN for share in self.seen_shares)
         where = f"from within {SEEN_FROM_DEG:g} degrees"
         return (
-            f"{count} of {len(self.seen)} frames are outside the cameras' coverage {where}; their borders are unreliable"
+            f"{count} of {len(self.seen_shares)} frames are outside the cameras' coverage {where}; their borders are unreliable"
             if count
             else ""
         )
@@ -53,8 +53,8 @@ class Timing:
         times = self.milliseconds()
         lines = [f"{'ms per frame':14s}{'p50':>9s}{'p95':>9s}"]
         lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in times.items()]
-        whole = sum(times[stage][0] for stage in ("read", "synthesis", "encode"))
-        rates = f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, {1000 / whole:.2f} with reading and encoding"
+        total = sum(times[stage][0] for stage in ("read", "synthesis", "encode"))
+        rates = f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, {1000 / total:.2f} with reading and encoding"
         return "\n".join([*lines, rates, *filter(None, [self.outside])])
 
 
@@ -93,7 +93,7 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
     """Yield the video's frames, each made when it is asked for."""
     steps = list(zip(playback.instants, playback.poses, strict=True))
     for instant, pose in track(steps, "playing"):
-        timing.seen.append(seen_share(pose, playback.capture.cameras))
+        timing.seen_shares.append(seen_share(pose, playback.capture.cameras))
         begun = perf_counter()
         depths = None
         if playback.live is None:
@@ -104,10 +104,12 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
         images = {name: playback.capture.frame(name, instant) for name in names}
         read = perf_counter()
         rendering = synthesizer.step(images, depths, pose)
-        done = perf_counter()
+        synthesised = perf_counter()
         yield quantise(rendering.image)
         encoded = perf_counter()
-        timing.rows.append({"read": read - begun, **rendering.seconds, "synthesis": done - read, "encode": encoded - done})
+        timing.rows.append(
+            {"read": read - begun, **rendering.seconds, "synthesis": synthesised - read, "encode": encoded - synthesised}
+        )
 
 
 def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:

@@ -117,12 +117,12 @@ class Playback:
 
 
 def make_playback(
-    shown: RunPlan | Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1, anywhere: bool = False
+    subject: RunPlan | Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1, anywhere: bool = False
 ) -> Playback:
     """Play a prepared run or a capture; arguments and errors as of `playback_of_capture`, of which a run needs the first two."""
-    if isinstance(shown, RunPlan):
-        return playback_of_run(shown, options)
-    return playback_of_capture(shown, options, depth, cache, workers, anywhere)
+    if isinstance(subject, RunPlan):
+        return playback_of_run(subject, options)
+    return playback_of_capture(subject, options, depth, cache, workers, anywhere)
 
 
 def playback_of_run(prepared: RunPlan, options: PlayOptions) -> Playback:
@@ -218,7 +218,7 @@ def _needed(
 ) -> dict[int, set[str]]:
     needed: dict[int, set[str]] = {instant: set() for instant in instants}
     for instant, pose in zip(instants, poses, strict=True):
-        needed[instant] |= {each.camera.name for each in choose_sources(pose, capture.cameras, k, sources)}
+        needed[instant] |= {source.camera.name for source in choose_sources(pose, capture.cameras, k, sources)}
     return needed
 
 
@@ -226,7 +226,7 @@ def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptio
     """Plan the depth of each source camera: the same for every position of the virtual camera."""
     jobs: dict[str, DepthJob] = {}
     for pose in poses:
-        if any(each.camera.name not in jobs for each in choose_sources(pose, capture.cameras, k, sources)):
+        if any(source.camera.name not in jobs for source in choose_sources(pose, capture.cameras, k, sources)):
             jobs |= plan_depth(capture, [pose], k, options, sources)[pose.name]
     return jobs
 
@@ -238,7 +238,7 @@ def _frames_by_camera(
     frames_by_camera: dict[str, set[int]] = {}
     for block, names in blocks:
         frames = range(options.first_needed(block.start), block.stop)
-        for name in {each for source in names for each in (source, *jobs[source].partner_names)}:
+        for name in {camera for source in names for camera in (source, *jobs[source].partner_names)}:
             frames_by_camera.setdefault(name, set()).update(frames)
     return {name: sorted(frames) for name, frames in sorted(frames_by_camera.items())}
 

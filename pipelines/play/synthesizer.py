@@ -123,7 +123,7 @@ class OnlineSynthesizer:
         Raises:
             CameraError: fewer than K are left, or none of them looks the target's way.
         """
-        return [each.camera for each in choose_sources(target, self.cameras, self.k, self._choice)]
+        return [source.camera for source in choose_sources(target, self.cameras, self.k, self._choice)]
 
     def needed(self, target: Camera) -> list[str]:
         """Return the names of the cameras whose images a step without depth takes: the sources, and those they are matched with.
@@ -173,12 +173,14 @@ class OnlineSynthesizer:
         self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
     ) -> tuple[Instant, dict[str, float]]:
         """Return the method's input, and the seconds of depth computation."""
-        chosen = choose_sources(target, self.cameras, self.k, self._choice)
-        names = [each.camera.name for each in chosen]
+        choices = choose_sources(target, self.cameras, self.k, self._choice)
+        names = [source.camera.name for source in choices]
         _check_names(images_by_camera, names, target, "an image")
         depths, seconds = (depths_by_camera, {}) if depths_by_camera is not None else self._found_depth(names, images_by_camera)
         _check_names(depths, names, target, "depth")
-        views = tuple(_source_view(each, images_by_camera[name], depths[name]) for name, each in zip(names, chosen, strict=True))
+        views = tuple(
+            _source_view(source, images_by_camera[name], depths[name]) for name, source in zip(names, choices, strict=True)
+        )
         self._doubts.look_at_target(target)
         for view in views:
             if isinstance(view.depth, np.ndarray):
@@ -198,11 +200,11 @@ class OnlineSynthesizer:
         """Return the depth of some cameras, on the device where the method takes it there, and the seconds that it took."""
         finder = self._finder()
         begun_s = finder.clock_s()
-        found = finder.estimate(names, images)
+        depths = finder.estimate(names, images)
         seconds = {"depth": finder.clock_s() - begun_s}
         if getattr(self._method, "takes_device_depth", False):
-            return found, seconds
-        return {name: each.download() if isinstance(each, DeviceDepth) else each for name, each in found.items()}, seconds
+            return depths, seconds
+        return {name: depth.download() if isinstance(depth, DeviceDepth) else depth for name, depth in depths.items()}, seconds
 
 
 def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Callable[[], Method]:
@@ -214,11 +216,11 @@ def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Ca
     return make
 
 
-def _check_names(given: Mapping[str, object], names: Sequence[str], target: Camera, what: str) -> None:
-    missing = [name for name in names if name not in given]
+def _check_names(by_camera: Mapping[str, object], names: Sequence[str], target: Camera, noun: str) -> None:
+    missing = [name for name in names if name not in by_camera]
     if missing:
         raise RenderError(
-            f"camera {target.name}: wanted {what} of each of its sources {', '.join(names)}, got none "
+            f"camera {target.name}: wanted {noun} of each of its sources {', '.join(names)}, got none "
             f"of {', '.join(missing)}; give those of the whole rig, or exclude cameras without"
         )
 
@@ -229,8 +231,8 @@ def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthM
     shape = (camera.height, camera.width)
     image = as_image8(image, camera, RenderError)
     if isinstance(source_depth, DeviceDepth):
-        there: tuple[Any, Any] = source_depth.depth, source_depth.confidence
-        return SourceView(camera, image.copy(), *there, source.share)
+        depth_on_device: tuple[Any, Any] = source_depth.depth, source_depth.confidence
+        return SourceView(camera, image.copy(), *depth_on_device, source.share)
     depth = _checked_depth(camera, source_depth.depth if isinstance(source_depth, DepthMap) else source_depth)
     confidence = source_depth.confidence if isinstance(source_depth, DepthMap) else (depth > 0).astype(np.float32)
     if confidence.shape != shape:
@@ -268,11 +270,11 @@ def seen_share(target: Camera, cameras: Sequence[Camera]) -> float:
         middle by a quarter of its extent 0.96, by half of it 0.6, by the whole 0.2.
     """
     points = sample_view(target)
-    seen = np.zeros(len(points), bool)
+    mask = np.zeros(len(points), bool)
     for camera in cameras:
         if camera.name != target.name:
-            seen |= sees(camera, points) & (ray_angles(target, camera, points) <= np.deg2rad(SEEN_FROM_DEG))
-    return share_of_view(target, seen)
+            mask |= sees(camera, points) & (ray_angles(target, camera, points) <= np.deg2rad(SEEN_FROM_DEG))
+    return share_of_view(target, mask)
 
 
 class Doubts:
@@ -309,11 +311,11 @@ class Doubts:
 
     def look_at_depth(self, camera: Camera, depth: Map) -> None:
         """Warn of depth of which most is far outside the camera's near and far bounds."""
-        known = depth[depth > 0]
-        outside = (known < camera.near / OUTSIDE_FACTOR) | (known > camera.far * OUTSIDE_FACTOR)
-        if not known.size or outside.mean() <= MOST_OUTSIDE:
+        depths = depth[depth > 0]
+        outside = (depths < camera.near / OUTSIDE_FACTOR) | (depths > camera.far * OUTSIDE_FACTOR)
+        if not depths.size or outside.mean() <= MOST_OUTSIDE:
             return
-        median = float(np.median(known))
+        median = float(np.median(depths))
         remedy = (
             "divide millimetres by 1000 and multiply by units_per_metre" if median > MILLIMETRES * camera.far else "as these are"
         )

@@ -44,8 +44,8 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
         poses = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(protocol.path.cameras))
         return CameraPath(tuple(pose.resized(*middle.size) for pose in poses), None, 0.0)
     own_path, edit = open_path(capture.path), capture.edit
-    held = edit.hold_frame if edit and edit.hold_frames else None  # the one instant that can be seen
-    if own_path is not None and held in (None, round(own_path.time_s * capture.fps)):
+    held_frame = edit.hold_frame if edit and edit.hold_frames else None  # the one instant that can be seen
+    if own_path is not None and held_frame in (None, round(own_path.time_s * capture.fps)):
         return replace(own_path, cameras=tuple(pose.resized(*middle.size) for pose in own_path.cameras))
     neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
     span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))

@@ -23,18 +23,18 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     require_protocol(run, protocol)
     if not run.protocol_file.is_file():
         return
-    before, now = run.capture_record()["digests"], _digests(capture)
-    if before.keys() != now.keys():
-        _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ now.keys()))} on one side only")
-    changed = [name for name in before if before[name] != now[name]]
+    before, digests = run.capture_record()["digests"], _digests(capture)
+    if before.keys() != digests.keys():
+        _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ digests.keys()))} on one side only")
+    changed = [name for name in before if before[name] != digests[name]]
     if changed:
         _refuse(run, f"other frames: those of {', '.join(changed)} differ from those of {capture.path}")
 
 
 def require_protocol(run: RunFolder, protocol: Protocol) -> None:
     """Refuse a folder that holds a run of another protocol."""
-    if run.protocol_file.is_file() and not (kept := run.protocol()).agrees_with(protocol):
-        _refuse(run, f"another protocol (there and here: {name_differences(kept.values(), protocol.values())})")
+    if run.protocol_file.is_file() and not (protocol_there := run.protocol()).agrees_with(protocol):
+        _refuse(run, f"another protocol (there and here: {name_differences(protocol_there.values(), protocol.values())})")
 
 
 def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
@@ -44,7 +44,7 @@ def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
         protocol = run.protocol()  # folds that were stated once stay
     run.root.mkdir(parents=True, exist_ok=True)
     codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
-    coding = {view: each and asdict(each) for view, each in codings.items()}
+    coding = {view: video_coding and asdict(video_coding) for view, video_coding in codings.items()}
     are_videos = any(video_of(capture.source(view)) for view in protocol.views.test)
     decoding = {"truth_decoding": EXACT_DECODING} if are_videos else {}
     write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": coding, **decoding})

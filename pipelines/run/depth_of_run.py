@@ -80,9 +80,9 @@ class NearestCameras:
         synthesis, cameras = self.protocol.synthesis, self.capture.cameras
         plans = {}
         for target in targets:
-            chosen = choose_sources(target, cameras, synthesis.k, synthesis.sources)
-            shares = {source.camera.name: source.share for source in chosen}
-            jobs = tuple(self._unknown_depth(source.camera) for source in chosen)
+            sources = choose_sources(target, cameras, synthesis.k, synthesis.sources)
+            shares = {source.camera.name: source.share for source in sources}
+            jobs = tuple(self._unknown_depth(source.camera) for source in sources)
             plans[target.name] = SourcePlan(target, jobs, shares)
         return plans
 
@@ -101,8 +101,8 @@ class NearestCameras:
         self, capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, _workers: Workers
     ) -> None:
         """Write maps that are unknown everywhere."""
-        found, _ = missing_depth(jobs, frames, store)
-        for job, instants in found.items():
+        instants_by_job, _ = missing_depth(jobs, frames, store)
+        for job, instants in instants_by_job.items():
             camera, key = capture.camera(job.camera_name), store.write_spec(job.spec)
             unknown = np.zeros((camera.height, camera.width), np.float32)
             for frame in instants:
@@ -118,7 +118,7 @@ class NearestCameras:
 
 def depth_of_run(
     run: RunFolder,
-    asked: DepthRunOptions | None,
+    options: DepthRunOptions | None,
     capture: Capture,
     protocol: Protocol,
     device: str,
@@ -131,9 +131,9 @@ def depth_of_run(
     """
     reason = DEPTH.why_absent(MATCHED)
     if not reason:
-        provider: DepthProvider = DEPTH[MATCHED].of_run(run, asked, capture, protocol, device, methods.values())
+        provider: DepthProvider = DEPTH[MATCHED].of_run(run, options, capture, protocol, device, methods.values())
         return provider
     wanting = [label for label, spec in methods.items() if spec.uses_depth]
-    if wanting or asked:
+    if wanting or options:
         raise AbsentPartError(f"{listed(wanting or ['--matcher'])}: {reason}")
     return NearestCameras(capture, protocol)

@@ -15,8 +15,8 @@ from ggvs_eval.reports.depth_page.section import write_depth_page
 def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
     """Write ``RUN/depth_page/`` of the first, middle and last instant."""
     frames = prepared.frames
-    shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
-    stored = [StoredDepth(job, shown) for job in prepared.view_jobs]
+    instants = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
+    stored = [StoredDepth(job, instants) for job in prepared.view_jobs]
     of_views = {job.camera_name for job in prepared.view_jobs}  # cameras of the path alone were prepared at its instant alone
     alone = [job for job in prepared.path_jobs if job.camera_name not in of_views]
     stored += [StoredDepth(job, (prepared.path_frame,)) for job in alone]
@@ -31,12 +31,12 @@ def fuse_prepared(prepared: RunPlan, frame: int | None = None) -> FusedFiles:
         frame: the instant; the protocol's first by default.
     """
     frame = prepared.frames[0] if frame is None else frame
-    chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
-    capture, names = prepared.capture, [job.camera_name for job in chosen]
+    jobs, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
+    capture, names = prepared.capture, [job.camera_name for job in jobs]
     return fuse_instant(
         [capture.camera(name) for name in names],
         [capture.frame(name, frame) for name in names],
-        [store.read(job.key, frame) for job in chosen],
+        [store.read(job.key, frame) for job in jobs],
         prepared.run.root / "fused" / f"{frame:04d}",
     )
 
@@ -49,13 +49,13 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None) -
         frame: the instant; the protocol's first by default.
     """
     frame = prepared.frames[0] if frame is None else frame
-    chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
-    capture, names = prepared.capture, [job.camera_name for job in chosen]
+    jobs, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
+    capture, names = prepared.capture, [job.camera_name for job in jobs]
     return write_dense_workspace(
         [capture.camera(name) for name in names],
         [capture.frame(name, frame) for name in names],
-        [store.read(job.key, frame) for job in chosen],
-        {job.camera_name: job.partner_names for job in chosen},
+        [store.read(job.key, frame) for job in jobs],
+        {job.camera_name: job.partner_names for job in jobs},
         folder,
     )
 
@@ -67,7 +67,7 @@ def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
         *(prepared.path_jobs if frame == prepared.path_frame else ()),
     }
     best: dict[str, DepthJob] = {}
-    for job in sorted(jobs, key=lambda each: (-len(each.partner_names), each)):
+    for job in sorted(jobs, key=lambda candidate: (-len(candidate.partner_names), candidate)):
         best.setdefault(job.camera_name, job)
     if not best:
         frames = prepared.frames

@@ -175,7 +175,7 @@ class Stages:
             return run_tasks(tasks, self.engine, doing, task_list)
         tried = attempt_tasks(tasks, self.engine, doing, task_list)
         self.failures += tried.failures
-        return tried.done
+        return tried.n_done
 
 
 def attempt(name: str, work: Callable[[], Value], failures: list[Failure]) -> Value | None:
@@ -199,8 +199,8 @@ def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan
     if all(plan.request.only_prepares for plan in ready):
         return []
     render_runs(ready, stages)
-    whole = {plan.name: [*plan.rendered_labels(), *imported[plan.name]] for plan in ready}
-    return _score_runs([plan for plan in ready if whole[plan.name] or not stages.goes_on], whole, stages)
+    complete = {plan.name: [*plan.rendered_labels(), *imported[plan.name]] for plan in ready}
+    return _score_runs([plan for plan in ready if complete[plan.name] or not stages.goes_on], complete, stages)
 
 
 def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
@@ -213,7 +213,7 @@ def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
     """
     renders = [_named(task, plan.name) for plan in plans for task in plan.renders]
     stages.note("render", renders)
-    done = stages.run("render", [task for task in renders if not task.needs], "rendering")
+    count = stages.run("render", [task for task in renders if not task.needs], "rendering")
     from_scenes = [task for task in renders if task.needs]
     left = {task.folder for task in left_of(from_scenes)}
     needs = {need.folder: need for task in from_scenes for need in task.needs if isinstance(need, Task)}
@@ -221,10 +221,10 @@ def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
     if fits:
         stages.note("fit", fits)
         stages.run("fit", fits, "fitting")
-    done += stages.run("render", from_scenes, "rendering from fitted scenes")
+    count += stages.run("render", from_scenes, "rendering from fitted scenes")
     for plan in plans:
         note_labels(plan.run, [*plan.methods, *plan.request.imports])
-    return done
+    return count
 
 
 def _import(plan: RunPlan, label: str, stages: Stages) -> bool:
@@ -236,12 +236,12 @@ def _import(plan: RunPlan, label: str, stages: Stages) -> bool:
     return record is not None
 
 
-def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: Stages) -> list[tuple[RunPlan, Scores]]:
+def _score_runs(plans: Sequence[RunPlan], complete: dict[str, list[str]], stages: Stages) -> list[tuple[RunPlan, Scores]]:
     """Measure all that is whole in the run folders; in a part of a run, which others may work on, its own methods alone."""
     planned: list[tuple[RunPlan, Scores]] = []
     for plan in plans:
-        lacking = {*plan.methods, *plan.request.imports}.difference(whole[plan.name]) | _left_unfinished(plan)
-        labels = whole[plan.name] if plan.request.views else [each for each in plan.run.labels() if each not in lacking]
+        lacking = {*plan.methods, *plan.request.imports}.difference(complete[plan.name]) | _left_unfinished(plan)
+        labels = complete[plan.name] if plan.request.views else [label for label in plan.run.labels() if label not in lacking]
         work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
         scores = stages.attempt(f"score {plan.name}", work)
         planned += [] if scores is None else [(plan, scores)]
@@ -254,10 +254,10 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
 def _left_unfinished(plan: RunPlan) -> set[str]:
     """Partially rendered methods that this call did not request; each is logged."""
     run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
-    others = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
-    coverage = read_coverage(run, numbers, others)
-    lacking = coverage.unfinished(run, views, others)
-    rendered_here = {*others}.difference(coverage.partial, coverage.imported)
+    labels = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
+    coverage = read_coverage(run, numbers, labels)
+    lacking = coverage.unfinished(run, views, labels)
+    rendered_here = {*labels}.difference(coverage.partial, coverage.imported)
     lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
         words = f"its frames are incomplete; --methods {label} resumes it"

@@ -119,7 +119,7 @@ def plan_fits(
             fitter = method.make_fitter()
             for fold in folds:
                 indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
-                with_depth = tuple(indices[indices.index(each)] for each in fitter.depth_indices(indices))
+                with_depth = tuple(indices[indices.index(index)] for index in fitter.depth_indices(indices))
                 fits.append(FitPlan(label, fold, indices, with_depth, method))
     return tuple(fits)
 
@@ -210,16 +210,16 @@ class FitClock:
         """Seconds so far, of all attempts; what passed between an attempt's last note and its death is lost."""
         return self._before_s + time.monotonic() - self.begun_s
 
-    def note(self, done: int, total: int) -> None:
+    def note(self, count: int, total: int) -> None:
         """Note how far the fit is."""
         now_s = time.monotonic()
         if self._first_done is None:
-            self._first_done = done
+            self._first_done = count
         if now_s - self._noted_s >= NOTE_EVERY_S:
-            write_json(self.folder / TIME_FILE, {"seconds": self.seconds, "done": done, "total": total})
+            write_json(self.folder / TIME_FILE, {"seconds": self.seconds, "done": count, "total": total})
             self._noted_s = now_s
         if now_s - self._told_s >= LINE_EVERY_S:
-            pace = (done - self._first_done) / (now_s - self.begun_s)
-            left = f", about {duration((total - done) / pace)} left" if pace else ""
-            print(f"{self.name}: {done} of {total} steps in {duration(self.seconds)}{left}", file=sys.stderr, flush=True)
+            pace = (count - self._first_done) / (now_s - self.begun_s)
+            left = f", about {duration((total - count) / pace)} left" if pace else ""
+            print(f"{self.name}: {count} of {total} steps in {duration(self.seconds)}{left}", file=sys.stderr, flush=True)
             self._told_s = now_s

@@ -79,10 +79,10 @@ def choose_folds(cameras: Sequence[Camera]) -> Folds:
     folds: list[list[int]] = [[] for _ in range(count)]
     for camera in range(len(cameras)):
         free = [at for at in range(count) if len(folds[at]) < capacities[at]]
-        best = max(free, key=lambda at: min((distances[camera, each] for each in folds[at]), default=np.inf))
+        best = max(free, key=lambda at: min((distances[camera, member] for member in folds[at]), default=np.inf))
         folds[best].append(camera)
     _exchange(folds, distances)
-    return tuple(tuple(cameras[each].name for each in sorted(fold)) for fold in folds)
+    return tuple(tuple(cameras[member].name for member in sorted(fold)) for fold in folds)
 
 
 def _exchange(folds: list[list[int]], distances: Array) -> None:
@@ -90,15 +90,15 @@ def _exchange(folds: list[list[int]], distances: Array) -> None:
     better = True
     while better:
         better = False
-        for one, other in combinations(range(len(folds)), 2):
-            for i in range(len(folds[one])):
-                for j in range(len(folds[other])):
+        for first, second in combinations(range(len(folds)), 2):
+            for i in range(len(folds[first])):
+                for j in range(len(folds[second])):
                     before = _closeness(folds, distances)
-                    folds[one][i], folds[other][j] = folds[other][j], folds[one][i]
+                    folds[first][i], folds[second][j] = folds[second][j], folds[first][i]
                     if _closeness(folds, distances) > before:
                         better = True
                     else:
-                        folds[one][i], folds[other][j] = folds[other][j], folds[one][i]
+                        folds[first][i], folds[second][j] = folds[second][j], folds[first][i]
 
 
 def _closeness(folds: Sequence[Sequence[int]], distances: Array) -> list[float]:

@@ -168,7 +168,7 @@ def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Pa
     if workers == 1 or len(views) == 1:
         return {view: rendered.write(folder / view, frames) for view, (rendered, frames) in views.items()}
     with worker_pool(min(workers, len(views))) as pool:
-        running = {view: pool.submit(one.write, folder / view, frames) for view, (one, frames) in views.items()}
+        running = {view: pool.submit(rendered.write, folder / view, frames) for view, (rendered, frames) in views.items()}
         return {view: job.result() for view, job in running.items()}
 
 
@@ -177,8 +177,8 @@ def _copy_linked(folder: Path, label: str) -> None:
     links = [file for file in sorted(folder.rglob("*.png")) if file.is_symlink()]
     size = sum(file.stat().st_size for file in links)
     if size >= TOLD_BYTES:
-        told = f"{label}: copying {size / 1e6:,.0f} MB of frames into the run (--link links them instead)"
-        print(told, file=sys.stderr, flush=True)
+        message = f"{label}: copying {size / 1e6:,.0f} MB of frames into the run (--link links them instead)"
+        print(message, file=sys.stderr, flush=True)
     for file in track(links, f"copying frames of {label}"):
         source = file.resolve()
         file.unlink()
@@ -255,19 +255,19 @@ def run_for(
     Raises:
         ProtocolError: neither a folder nor a capture, or a folder of another protocol or capture.
     """
-    asked = asked_protocol(protocol) if protocol else None
+    terms = asked_protocol(protocol) if protocol else None
     if root is None and open_capture is None:
         raise ProtocolError(
             "wanted a run folder, or --capture CAPTURE to make one, got neither; if renders come with their truth: --with-truth"
         )
     capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
-    own = run.protocol() if run.protocol_file.is_file() else None
+    run_protocol = run.protocol() if run.protocol_file.is_file() else None
     with absent_unless_made(run.root):
-        if asked:
-            require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
+        if terms:
+            require_protocol(run, terms.over(run_protocol.frames.numbers.stop) if run_protocol else terms)
         if capture:
-            prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
+            prepare_truth(run.root, capture, terms or run_protocol or suggest_protocol(capture), workers)
         yield run
 
 
@@ -282,8 +282,8 @@ def named_renders(items: tuple[str, ...], in_run: bool = True) -> dict[str, Path
         if not separator or "/" in name:  # a path may hold = too
             name, path = plain_label(Path(os.path.abspath(item)).name.split(".")[0]), item
         elif in_run and _is_taken(name) and name != "truth":
-            taken, name = name, plain_label(name)
-            print(f"{path}: called {name} here, since {taken} is a built-in method", file=sys.stderr)
+            name_in_use, name = name, plain_label(name)
+            print(f"{path}: called {name} here, since {name_in_use} is a built-in method", file=sys.stderr)
         if name in named:
             raise ProtocolError(f"--renders: {named[name]} and {path} would both be called {name}; give NAME=PATH")
         named[name] = Path(path)

@@ -35,7 +35,7 @@ class Workload:
 
     Attributes:
         left: what is left to make, each once.
-        done: what is made, by whose time that of the rest is estimated.
+        history: what is made, by whose time that of the rest is estimated.
         passing: folders whose files go before anything is rendered.
         jobs: processes.
         pace: seconds that work takes here for each core-second of `Result.cost_s`.
@@ -43,7 +43,7 @@ class Workload:
 
     title: str
     left: tuple[Result, ...]
-    done: tuple[Made, ...]
+    history: tuple[Made, ...]
     folder: Path
     passing: frozenset[Path] = frozenset()
     jobs: int = 1
@@ -58,8 +58,8 @@ class Workload:
         """Bytes that the runs will still take at once: what is passing makes room for renders."""
         passing = sum(_bytes(task) for task in self.left if task.folder in self.passing)
         later = sum(_bytes(task) for task in self.left if task.kind in RENDERS)
-        rest = sum(_bytes(task) for task in self.left if task.kind not in RENDERS and task.folder not in self.passing)
-        return rest + max(passing, later)
+        remaining = sum(_bytes(task) for task in self.left if task.kind not in RENDERS and task.folder not in self.passing)
+        return remaining + max(passing, later)
 
     @property
     def free_bytes(self) -> int:
@@ -76,12 +76,12 @@ class Workload:
             f"{self.count('depth', 'checked depth')} depth maps",
         ]
         views = len({task.batch for task in self.left if task.kind == "score"})
-        others = [
+        stages = [
             (self.count("truth"), "captured frame", "decode"),
             (self.count("fit"), "scene", "fit"),
             (views, "view", "score"),
         ]
-        parts += [f"{counted(count, noun)} to {doing}" for count, noun, doing in others if count]
+        parts += [f"{counted(count, noun)} to {doing}" for count, noun, doing in stages if count]
         lines = [
             f"plan: {self.title}; left are {', '.join(parts)}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
@@ -90,11 +90,11 @@ class Workload:
 
     def _time_lines(self) -> list[str]:
         """A line per stage where it takes a while; on this machine, by a probe and by what was made here already."""
-        at_pace_1 = estimate(self.left, self.done, lambda: 1.0)
+        at_pace_1 = estimate(self.left, self.history, lambda: 1.0)
         if at_pace_1.seconds < WORTH_A_TABLE_S:
             return []
         stages = {name: [task for task in self.left if stage_of(task.kind) == name] for name in STAGES}
-        times = {name: estimate(tasks, self.done, self.pace) for name, tasks in stages.items() if tasks}
+        times = {name: estimate(tasks, self.history, self.pace) for name, tasks in stages.items() if tasks}
         longest = max(times, key=lambda name: times[name].seconds)
         unknown = sum(time.unknown for time in times.values())
         more = f", and {counted(unknown, 'piece')} of unknown time" if unknown else ""
@@ -107,11 +107,11 @@ class Workload:
 
     def _stage_line(self, name: str, tasks: Sequence[Result], time: Estimate) -> str:
         count, n_bytes = sum(task.count for task in tasks), sum(map(_bytes, tasks))
-        known, seconds = count - time.unknown, time.seconds / self.jobs
-        of_one = f"{seconds / known:.2g} s each" if known else "not known"
-        whole = f", {duration(seconds)}" if known else ""
+        n_timed, seconds = count - time.unknown, time.seconds / self.jobs
+        of_one = f"{seconds / n_timed:.2g} s each" if n_timed else "not known"
+        total = f", {duration(seconds)}" if n_timed else ""
         disk = f", {_size(n_bytes)}" if n_bytes else ""
-        return f"  {name}: {count}, {of_one}{whole}{disk}"
+        return f"  {name}: {count}, {of_one}{total}{disk}"
 
     def require_disk(self) -> None:
         """Refuse runs that the disk has no room for."""
@@ -126,18 +126,18 @@ class Workload:
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
     """Count the work left in runs."""
     left: dict[Path, Result] = {}
-    done: list[Made] = []
+    records: list[Made] = []
     passing: set[Path] = set()
     for plan in plans:
         tasks = plan.tasks
         missing = left_of(tasks)
         renders = [task for task in plan.renders if task.is_done()]
-        done += [render.made for render in renders]
+        records += [render.made for render in renders]
         left |= {task.folder: task for task in (*missing, *_scores_left(plan, missing))}
         if plan.request.shared is None:
             passing |= {task.folder for task in missing if isinstance(task, FileTask) and task.passes}
             passing -= {task.folder for task in tasks}
-    return Workload(_title(plans), tuple(left.values()), tuple(done), folder, frozenset(passing), jobs)
+    return Workload(_title(plans), tuple(left.values()), tuple(records), folder, frozenset(passing), jobs)
 
 
 def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
@@ -233,8 +233,12 @@ def _title(plans: Sequence[RunPlan]) -> str:
     methods = f" x {len(labels)} methods" if labels else ""
     many = f"{len(plans)} runs of " if len(plans) > 1 else ""
     ks = ", ".join(map(str, sorted({plan.protocol.synthesis.k for plan in plans})))
-    measured = (plan.protocol.measurement for plan in plans)
-    every = {each.lpips_every for each in measured if each.lpips_every > 1 and any(COSTLIEST in name for name in each.metrics)}
+    measurements = (plan.protocol.measurement for plan in plans)
+    every = {
+        measurement.lpips_every
+        for measurement in measurements
+        if measurement.lpips_every > 1 and any(COSTLIEST in name for name in measurement.metrics)
+    }
     lpips = f", {COSTLIEST} of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
     return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
 

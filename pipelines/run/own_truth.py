@@ -47,9 +47,9 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
         raise RenderError("--with-truth: no renders are named; give --renders NAME=PATH, an .npz or a folder of renders/ and gt/")
     sets = {label: own_truths(path) for label, path in renders.items()}
     first, stacks = next(iter(sets.items()))
-    for label, others in sets.items():
-        if others.keys() != stacks.keys():
-            listed = f"{', '.join(stacks)} of {first}, {', '.join(others)} of {label}"
+    for label, archives in sets.items():
+        if archives.keys() != stacks.keys():
+            listed = f"{', '.join(stacks)} of {first}, {', '.join(archives)} of {label}"
             raise RenderError(f"{renders[label]}: wanted archives of the same views, got {listed}; score them in separate runs")
     counts = {stack.n_frames for stack in stacks.values()}
     if len(counts) > 1:
@@ -57,12 +57,12 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
             f"{renders[first]}: wanted views of one length, got {', '.join(map(str, sorted(counts)))} frames; cut them"
         )
     frames = Frames(0, counts.pop())
-    measured = asked_protocol(protocol).measurement if protocol else Measurement(OF_OWN_TRUTH, ceilings=False)
+    measurement = asked_protocol(protocol).measurement if protocol else Measurement(OF_OWN_TRUTH, ceilings=False)
     with run_for(root or SCORES_ROOT / first, None, None, 1) as run:
         is_new = not run.protocol_file.is_file()
         dataset = renders[first].resolve().stem if is_new else run.protocol().dataset
         views = Views(tuple(stacks), "those of the archives")
-        terms = Protocol(NAME, dataset, views, frames, Synthesis(), measured, CameraPath(0))
+        terms = Protocol(NAME, dataset, views, frames, Synthesis(), measurement, CameraPath(0))
         require_protocol(run, terms)
         if is_new:
             _write_truth(run, stacks, terms, renders[first])
@@ -107,9 +107,9 @@ def own_truths(path: Path) -> dict[str, ArrayStack | Pictures]:
         return {view: Pictures(path, tuple(pictures)) for view, pictures in truth_pictures(path).items()}
     for file in files:
         if file.suffix.lower() != ".npz" or not {OWN_RENDERS, OWN_TRUTH} <= {*npz_members(file)}:
-            held = ", ".join(npz_members(file)[:9]) if file.suffix.lower() == ".npz" else f"a {file.suffix or 'folder'}"
+            names = ", ".join(npz_members(file)[:9]) if file.suffix.lower() == ".npz" else f"a {file.suffix or 'folder'}"
             raise RenderError(
-                f"{file}: wanted arrays {OWN_RENDERS} and {OWN_TRUTH}, got {held or 'none'}; save them by numpy.savez, or give "
+                f"{file}: wanted arrays {OWN_RENDERS} and {OWN_TRUTH}, got {names or 'none'}; save them by numpy.savez, or give "
                 "--capture without --with-truth"
             )
     return {file.stem: ArrayStack(file, OWN_TRUTH) for file in files}
@@ -130,7 +130,7 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack | Pictures], pr
         "n_frames": protocol.frames.count,
         "notes": [],
         "cameras": {view: {} for view in stacks},
-        "digests": {view: digest_files(own) for view, own in files.items()},
+        "digests": {view: digest_files(pictures) for view, pictures in files.items()},
         "coding": dict.fromkeys(stacks),
     }
     write_json(run.root / "capture.json", record)
@@ -146,9 +146,9 @@ def _require_same(run: RunFolder, view: str, stack: ArrayStack | Pictures, frame
     for number, frame in enumerate(stack.frames(0, stack.n_frames)):
         levels = difference(to_8_bit(frame), read_image(frame_path(run.truth(view), number)))
         if levels > ROUNDING:
-            found = f"{levels:.2f} levels of 255 away" if np.isfinite(levels) else "of another size"
+            deviation = f"{levels:.2f} levels of 255 away" if np.isfinite(levels) else "of another size"
             raise RenderError(
-                f"{stack.name}: wanted the reference of this run, frame {number} is {found}; score it with another --run"
+                f"{stack.name}: wanted the reference of this run, frame {number} is {deviation}; score it with another --run"
             )
 
 
@@ -165,22 +165,22 @@ def _compare(label: str, path: Path, results: Results) -> Iterator[str]:
     for view, stack in own_truths(path).items():
         if isinstance(stack, Pictures) or PUBLISHED not in npz_members(stack.path):
             continue
-        theirs = np.asarray(read_small_array(stack.path, PUBLISHED), np.float64)
-        if theirs.ndim != 2 or len(theirs) != stack.n_frames:
-            shape = " x ".join(map(str, theirs.shape))
+        published = np.asarray(read_small_array(stack.path, PUBLISHED), np.float64)
+        if published.ndim != 2 or len(published) != stack.n_frames:
+            shape = " x ".join(map(str, published.shape))
             yield f"{label}, {view}: {PUBLISHED} is {shape}, not a line for each frame; not compared"
             continue
-        for at, column in enumerate(theirs.T):
+        for at, column in enumerate(published.T):
             yield f"{label}, {view}: {PUBLISHED} column {at} {_column_words(column, split_label(label), view, results)}"
 
 
-def _column_words(theirs: np.ndarray, method: tuple[str, str], view: str, results: Results) -> str:
+def _column_words(published: np.ndarray, method: tuple[str, str], view: str, results: Results) -> str:
     """State the metric of a column, and its differences."""
     apart: dict[str, np.ndarray] = {}
     for metric in AGREEING:
         table = results.per_frame(metric, view)
-        if method in table and len(table[method].dropna()) == len(theirs):
-            apart[metric] = np.abs(table[method].to_numpy() - theirs) / AGREEING[metric]
+        if method in table and len(table[method].dropna()) == len(published):
+            apart[metric] = np.abs(table[method].to_numpy() - published) / AGREEING[metric]
     near = {metric: float(np.median(ratios)) for metric, ratios in apart.items()}
     best = min(near, key=lambda metric: near[metric], default="")
     if not best or not near[best] <= 1.0:
@@ -190,6 +190,6 @@ def _column_words(theirs: np.ndarray, method: tuple[str, str], view: str, result
     if not wrong:
         return f"is {best} and agrees (at most {float(ratios.max()) * AGREEING[best]:.4f} apart)"
     worst = int(np.argmax(ratios))
-    mine = float(results.per_frame(best, view)[method].to_numpy()[worst])
+    value = float(results.per_frame(best, view)[method].to_numpy()[worst])
     many = counted(len(wrong), "frame")
-    return f"is {best} and differs in {many}, most in frame {worst}: {theirs[worst]:.4f} there, {mine:.4f} here"
+    return f"is {best} and differs in {many}, most in frame {worst}: {published[worst]:.4f} there, {value:.4f} here"

@@ -135,7 +135,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
                     raise RenderError(f"{label}, frame {number}: wanted an image of finite numbers, got others")
                 write_image(frame_path(folder, number), quantise(rendering.image))
                 with spec.guard(f"its diagnostics of frame {number} are none"):
-                    maps = {name: diagnostics_picture(name, each, target) for name, each in rendering.diagnostics.items()}
+                    maps = {name: diagnostics_picture(name, values, target) for name, values in rendering.diagnostics.items()}
                 for name, picture in maps.items():
                     write_image(diagnostics_path(folder, name, number), picture)
                 seconds.append(rendering.seconds)

@@ -256,8 +256,8 @@ def plan_run(request: RunRequest) -> RunPlan:
         if reason := PREPARATIONS.why_absent(spec.preparation):
             raise AbsentPartError(f"{label}: {reason}")
     protocol = request.protocol.over(request.capture.n_frames)
-    if not protocol.views.folds and run.protocol_file.is_file() and (kept := run.protocol()).agrees_with(protocol):
-        protocol = kept
+    if not protocol.views.folds and run.protocol_file.is_file() and (run_protocol := run.protocol()).agrees_with(protocol):
+        protocol = run_protocol
     request = replace(request, protocol=protocol)
     calibrated, calibration, choice = request.capture, None, protocol.synthesis.calibration
     if choice == "refined" or (choice and CALIBRATIONS.is_present("calibration")):

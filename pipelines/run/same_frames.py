@@ -28,16 +28,18 @@ class SameFrames(OfScores):
         """
         run, label, views = method.run, method.label, [*findings]
         files = [frame_path(run.root, number).name for number in method.protocol.frames.numbers]
-        before = takewhile(lambda other: other != label, run.labels())
-        pairs = {(views[0], other): [((label, view), (other, view)) for view in views] for other in before if views}
+        before = takewhile(lambda name: name != label, run.labels())
+        pairs = {(views[0], name): [((label, view), (name, view)) for view in views] for name in before if views}
         pairs |= {(view, first): [((label, view), (label, first))] for first, view in combinations(views, 2)}
         added = {view: list(of_view) for view, of_view in findings.items()}
         for (view, name), folders in pairs.items():
-            equal = [filecmp.cmpfiles(run.renders(*one), run.renders(*other), files, shallow=False)[0] for one, other in folders]
+            equal = [
+                filecmp.cmpfiles(run.renders(*first), run.renders(*second), files, shallow=False)[0] for first, second in folders
+            ]
             n_equal, n_frames = sum(map(len, equal)), len(files) * len(folders)
             if n_frames - n_equal < MOST_DIFFERING * n_frames:
-                measured = f"{n_equal} of {n_frames} frames are equal byte by byte"
-                added[view].append(Finding(view, f"{SAME_FRAMES}{name}", "certain", measured, {}, ADVICE))
+                message = f"{n_equal} of {n_frames} frames are equal byte by byte"
+                added[view].append(Finding(view, f"{SAME_FRAMES}{name}", "certain", message, {}, ADVICE))
         return added
 
 

@@ -46,7 +46,7 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
     """Write titles of methods, what differs between them by design, and notes on metrics."""
     rendered = {label: label.removesuffix(ON_SCREEN) for label in labels}
     specs = {label: spec for label, method in rendered.items() if (spec := known_method(method))}
-    given = [
+    custom = [
         label
         for label, spec in specs.items()
         if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, rendered[label], spec)
@@ -54,7 +54,7 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
     families = {without_option(method, option) for method in rendered.values() for option in FAMILY_OPTIONS}
     titles = {family: spec.title for family in families if (spec := known_method(family))}
     titles |= {label: specs[label].title if label in specs else method for label, method in rendered.items()}
-    titles |= {label: spec.title_from for label in given if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
+    titles |= {label: spec.title_from for label in custom if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
     titles |= {label: f"{titles[label]}{SCREEN_TITLE}" for label in labels if label.endswith(ON_SCREEN)}
     looks = [label for label in specs if not specs[label].online]
     write_json(
@@ -64,7 +64,7 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
             "names": titles,
             "ours": [label for label in specs if specs[label].ours],
             "from_sources": [label for label in specs if isinstance(specs[label], OnlineMethod)],
-            "declared": {label: spec.declared | ({LEARNED: GIVEN} if label in given else {}) for label, spec in specs.items()},
+            "declared": {label: spec.declared | ({LEARNED: GIVEN} if label in custom else {}) for label, spec in specs.items()},
             **({"look_ahead": looks} if looks else {}),
         },
     )
@@ -124,8 +124,8 @@ class Scores:
             else ""
         )
         shorter = f": {STAGES['scoring']} shortens it" if of_lpips and every == 1 and seconds >= TOLD_S else ""
-        what = f"scoring {counted(frames, 'frame')} of {'each of ' * (len(labels) > 1)}{counted(len(labels), 'method')}"
-        return f"{what} takes about {duration(seconds)}{of_lpips}{shorter}"
+        work = f"scoring {counted(frames, 'frame')} of {'each of ' * (len(labels) > 1)}{counted(len(labels), 'method')}"
+        return f"{work} takes about {duration(seconds)}{of_lpips}{shorter}"
 
     def collect(self) -> Results:
         """Collect all values, when every job is done, into the results of the run folder."""
@@ -160,8 +160,8 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
         RenderError: no renders, missing frames (all gaps are listed) or frames of the wrong size.
     """
     scores = plan_scores(run, [label for label in run.labels() if label not in without], None, device)
-    if told := scores.time_words(workers if isinstance(workers, int) else 1):
-        print(told, file=sys.stderr, flush=True)
+    if outlook := scores.time_words(workers if isinstance(workers, int) else 1):
+        print(outlook, file=sys.stderr, flush=True)
     task_list = TaskList(run.root, "score")
     task_list.write(scores.tasks)
     run_tasks(scores.tasks, workers, "scoring", task_list)
@@ -209,7 +209,7 @@ def _collect(scores: Scores) -> Results:
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
-        own: list[tuple[Any, ...]] = []
+        label_rows: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
         findings: dict[str, list[Finding]] = {}
         is_method = not label.endswith(ON_SCREEN)
@@ -219,7 +219,7 @@ def _collect(scores: Scores) -> Results:
             metrics = records.get((label, view), {})  # partial renders may lack a view
             of_view = [value for metric in metrics.values() for value in metric.values]
             for name, frame, value in sorted(of_view, key=order):
-                own.append((view, frame, name, value))
+                label_rows.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
             if metrics and is_method:
                 record = read_json(run.scores(view) / label / CHECKS / JOB_FILE)
@@ -231,27 +231,27 @@ def _collect(scores: Scores) -> Results:
             findings = question.of_method(method, findings)
         scene = capture["scene"]
         faults += [_fault(label, scene, finding) for of_view in findings.values() for finding in of_view]
-        own += _derived(protocol, values, reasons)
+        label_rows += _derived(protocol, values, reasons)
         for part in scores.parts:
             if part.rows is not None and is_method:
                 part_rows, part_reasons = part.rows(label)
-                own += part_rows
+                label_rows += part_rows
                 reasons |= part_reasons
         absences += [Absence(name, label, capture["scene"], "", reason) for name, reason in reasons.items()]
-        rows += [(*head, *row) for row in own]
+        rows += [(*head, *row) for row in label_rows]
     digests = {f"{task.label}/{task.view}": task.inputs["rendered"] for task in scores.view_tasks}
     named = [f"{label}/{view}" for label in labels for view in protocol.views.test]
     renders = {name: digests[name] for name in named if name in digests}
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
-    provenance["faults"] = [list(one) for one in faults]
+    provenance["faults"] = [list(fault) for fault in faults]
     provenance["versions"] = _versions(run, list(renders), records)
     if plugins := METRICS.origins(protocol.measurement.metrics) | METHODS.origins(labels):
         provenance["plugins"] = plugins
     if devices := _devices(run, list(renders)):
         provenance["devices"] = devices
-    measured = {row[6] for row in rows}
-    provenance["absent"] = [list(one) for one in absences if one.metric in measured]
-    not_computed = {one.metric: one.reason for one in reversed(absences) if one.metric not in measured}
+    metric_names = {row[6] for row in rows}
+    provenance["absent"] = [list(absence) for absence in absences if absence.metric in metric_names]
+    not_computed = {absence.metric: absence.reason for absence in reversed(absences) if absence.metric not in metric_names}
     return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
 
 
@@ -280,11 +280,11 @@ def _order_of_values(protocol: Protocol) -> Callable[[Value], tuple[Any, ...]]:
     return place
 
 
-def _fault(label: str, scene: str, found: Finding) -> Fault:
+def _fault(label: str, scene: str, finding: Finding) -> Fault:
     """Return a finding of the quick checks as the results keep it; an offset is called by its direction."""
-    lag = found.values.get("offset_frames", 0.0) if found.question == "frame offset" else 0.0
+    lag = finding.values.get("offset_frames", 0.0) if finding.question == "frame offset" else 0.0
     called = "late" if lag < 0 else "early" if lag > 0 else ""
-    return Fault(label, scene, found.subject, found.question, found.verdict, found.measured, found.advice, called)
+    return Fault(label, scene, finding.subject, finding.question, finding.verdict, finding.measured, finding.advice, called)
 
 
 def _derived(
@@ -317,9 +317,9 @@ def _versions(
     run: RunFolder, renders: Sequence[str], scores: Mapping[tuple[str, str], Mapping[str, MetricScores]]
 ) -> dict[str, str]:
     """Return package -> versions under which these renders and their values were made, and this one."""
-    made = [record.get("versions", {}) for record in _render_records(run, renders).values()]
-    made += [of_metric.versions for metrics in scores.values() for of_metric in metrics.values()]
-    return join_versions([installed_versions(), *made])
+    versions = [record.get("versions", {}) for record in _render_records(run, renders).values()]
+    versions += [of_metric.versions for metrics in scores.values() for of_metric in metrics.values()]
+    return join_versions([installed_versions(), *versions])
 
 
 def _devices(run: RunFolder, renders: Sequence[str]) -> dict[str, str]:

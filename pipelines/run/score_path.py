@@ -70,7 +70,7 @@ def path_tasks(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> lis
     require_frames({f"{label} along the path": run.path(label) for label in labels if lacks_path(run, label)}, poses)
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), poses)]
     metrics = {name: METRICS[name] for name in protocol.measurement.metrics}
-    costly = sorted(name for name, one in metrics.items() if isinstance(one, PathMetric) and one.scorer.wants_images)
+    costly = sorted(name for name, metric in metrics.items() if isinstance(metric, PathMetric) and metric.scorer.wants_images)
     return [_task(run, label, len(poses), costly) for label in rendered]
 
 

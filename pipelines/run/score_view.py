@@ -65,7 +65,7 @@ def score_tasks(
     }
     metrics = {metric.name: _metric_inputs(metric, options) for metric in scored_by_view(measurement.metrics)}
     parts = metrics | {CHECKS: {"code": checks_code()}}
-    stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
+    stretches = {label: ranges for label in labels if (ranges := coverage.stretches(label, view))}
     together = partial(_score_view, run, view, stretches, protocol, options)
     width, height = read_header(frame_path(run.truth(view), protocol.frames.start)).size
     cost_s = score_cost(measurement) * width * height / 1e6 / len(parts)
@@ -126,10 +126,10 @@ def _score_view(
     for label, of_label in by_label.items():
         if metrics := tuple(metric for metric in of_label if metric != CHECKS):
             alike[stretches[label], metrics].append(label)
-    for (there, metrics), labels in alike.items():
+    for (ranges, metrics), labels in alike.items():
         folders = [run.renders(label, view) for label in labels]
         with _computing(options.device):
-            scores = _score_methods(run, view, folders, there, metrics, protocol, options)
+            scores = _score_methods(run, view, folders, ranges, metrics, protocol, options)
         for label, of_method in zip(labels, scores, strict=True):
             for metric in metrics:
                 parts = [part for part in METRICS[metric].pooling(options).parts if part not in METRICS]
@@ -186,18 +186,18 @@ def _score_methods(
     unseen = dict.fromkeys(metrics if len(stretches) == 1 else (), UNSEEN)
     scores_of_methods = []
     for of_method, absent in zip(values, reasons, strict=True):  # what one stretch lacks another may have
-        measured = {name for name, _, _ in of_method}
-        lacking = {name: why for name, why in (unseen | absent).items() if name not in measured}
+        names = {name for name, _, _ in of_method}
+        lacking = {name: why for name, why in (unseen | absent).items() if name not in names}
         scores_of_methods.append(MetricScores(values=of_method, not_computed=lacking))
     return scores_of_methods
 
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
     """Return the protocol's options of the metrics, and where those compute that can."""
-    chosen = {field.name: getattr(measurement, field.name) for field in fields(MetricChoices)}
+    choices = {field.name: getattr(measurement, field.name) for field in fields(MetricChoices)}
     if way := measuring_way(measurement):
-        chosen["ssim"] = way.ssim
-    return MetricOptions(**chosen, device=device)
+        choices["ssim"] = way.ssim
+    return MetricOptions(**choices, device=device)
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:
@@ -227,5 +227,5 @@ def _instants(
                     f"{path}: wanted {true_size[0]} x {true_size[1]} pixels as the truth has, got {size[0]} x {size[1]}; "
                     "render at the protocol's size"
                 )
-        measured = [measured_frame(image, measurement) for image in images]
-        yield measured[:-1], measured[-1]
+        pictures = [measured_frame(image, measurement) for image in images]
+        yield pictures[:-1], pictures[-1]

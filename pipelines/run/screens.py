@@ -67,12 +67,12 @@ def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Scre
             picture = frame_path(run.renders(label, view), start + frame)
             links[frame_path(Path(view), start + instant)] = picture
     folder = run.renders(f"{label}{ON_SCREEN}", "")
-    there = {file.relative_to(folder): file.stat().st_ino for file in folder.glob("*/*.png")}
+    inodes = {file.relative_to(folder): file.stat().st_ino for file in folder.glob("*/*.png")}
     for name, file in links.items():  # one by one, because another process may read them
-        if there.pop(name, None) != file.stat().st_ino:
+        if inodes.pop(name, None) != file.stat().st_ino:
             with atomic_file(folder / name) as temporary:
                 link_file(file, temporary)
-    for name in there:
+    for name in inodes:
         (folder / name).unlink(missing_ok=True)
     return range(start + min(screen.scored), protocol.frames.numbers.stop)
 
@@ -89,7 +89,7 @@ def _screen(protocol: Protocol, stream: Stream, clock: Clock) -> Screen | str:
 
 def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> Clock | str:
     """Return the median time of each stage over all views without each view's first frame, as the table of times has it."""
-    stated = next((each.ms for each in stream.stated if each.method == label), None)
+    stated = next((times.ms for times in stream.stated if times.method == label), None)
     if stated is not None:
         return {f"{STATED} {at}" if len(stated) > 1 else STATED: ms / 1000 for at, ms in enumerate(stated, 1)}
     files = [run.renders(label, view) / JOB_FILE for view in views]
@@ -105,8 +105,8 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
     if fits:
         clock[FIT] = float(np.mean([fit["seconds"] / fit["instants"] for fit in fits]))
     for stage in records[0]["seconds"]:
-        each = [record["seconds"][stage] for record in records]
-        clock[stage] = float(np.median(np.concatenate([times[1:] or times for times in each])))
+        seconds_by_view = [record["seconds"][stage] for record in records]
+        clock[stage] = float(np.median(np.concatenate([times[1:] or times for times in seconds_by_view])))
     return clock
 
 

@@ -60,11 +60,11 @@ def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
     """
     protocol, findings = run.protocol(), []
     measurement = replace(protocol.measurement, metrics=(COMPARED,), ceilings=True)
-    wanted = replace(protocol, measurement=measurement)
+    terms = replace(protocol, measurement=measurement)
     for name, view in views_of_run(run, label, as_measured=True).items():
         psnrs_db = [psnr(*pair) for pair in view.pairs(list(view.frames))]
         if np.mean(psnrs_db) > LEAST_DB:
-            (task,) = ceiling_tasks(run, wanted, [name])
+            (task,) = ceiling_tasks(run, terms, [name])
             assert task.make is not None
             findings += find_seen_view(name, psnrs_db, task.make(run.root))
     return findings

@@ -20,7 +20,7 @@ class StageStatus:
     """Progress of one stage.
 
     Attributes:
-        done: number of tasks with a result.
+        n_done: number of tasks with a result.
         in_hand: names of tasks that a process is working on.
         failed: why tasks failed when they were last tried, and are not tried again now.
         missing: names of tasks that wait.
@@ -28,7 +28,7 @@ class StageStatus:
     """
 
     stage: str
-    done: int
+    n_done: int
     in_hand: tuple[str, ...]
     failed: tuple[Failure, ...]
     missing: tuple[str, ...]
@@ -52,7 +52,7 @@ def describe_status(root: Path) -> str:
     """Return the same as text: a line per stage, then tasks in hand, failures, and the size of the folder."""
     lines = []
     for stage in read_status(root):
-        counts = f"{stage.done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"
+        counts = f"{stage.n_done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"
         left = "" if stage.left_s is None else f", about {duration(stage.left_s)} left"
         lines.append(f"{stage.stage}: {counts}, {stage.n_bytes / MEBIBYTE:.1f} MiB{left}")
         lines += [f"  running  {name}" for name in stage.in_hand]
@@ -73,23 +73,23 @@ def _lists(root: Path) -> list[TaskList]:
 
 def _stage_status(task_list: TaskList, root: Path) -> StageStatus:
     batches: dict[Path, list[Made]] = {}
-    for made in task_list.read():
-        if made.folder.resolve().is_relative_to(root.resolve()):
-            batches.setdefault(made.batch, []).append(made)
-    done = {folder for folder, batch in batches.items() if all(made.is_done() for made in batch)}
-    running = {folder for folder in batches.keys() - done if any(map(is_in_hand, scratch_folders(folder)))}
-    waiting = [folder for folder in batches if folder not in done | running]
+    for result in task_list.read():
+        if result.folder.resolve().is_relative_to(root.resolve()):
+            batches.setdefault(result.batch, []).append(result)
+    finished = {folder for folder, batch in batches.items() if all(result.is_done() for result in batch)}
+    running = {folder for folder in batches.keys() - finished if any(map(is_in_hand, scratch_folders(folder)))}
+    waiting = [folder for folder in batches if folder not in finished | running]
     failures = {folder: failure for folder in waiting if (failure := task_list.failure(batches[folder][0]))}
     missing = [folder for folder in waiting if folder not in failures]
-    left = [made for folder in (*running, *missing) for made in batches[folder] if not made.is_done()]
-    work = estimate(left, [made for folder in done for made in batches[folder]])
+    left = [result for folder in (*running, *missing) for result in batches[folder] if not result.is_done()]
+    work = estimate(left, [result for folder in finished for result in batches[folder]])
     return StageStatus(
         stage=task_list.stage,
-        done=len(done),
+        n_done=len(finished),
         in_hand=tuple(batches[folder][0].name for folder in batches if folder in running),
         failed=tuple(failures.values()),
         missing=tuple(batches[folder][0].name for folder in missing),
-        n_bytes=sum(map(_size, done)),
+        n_bytes=sum(map(_size, finished)),
         left_s=work.seconds / len(running) if running and not work.unknown else None,
     )
 

@@ -39,13 +39,13 @@ def measure_steadiness(
     static = None if mask is None else read_image(mask)[..., 0] > 127
     metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in METRICS_OF_VIDEOS]
     metrics += [METRICS[name] for name in COLMAP_METRICS if with_colmap]
-    measured = Steadiness(describe_metrics(metrics), {}, {}, {})
+    steadiness = Steadiness(describe_metrics(metrics), {}, {}, {})
     for name, path in videos.items():
-        values, reasons, measured.shapes[name] = _measured(path, depth, static)
+        values, reasons, steadiness.shapes[name] = _measured(path, depth, static)
         if with_colmap:
             _add_colmap(path, values, reasons)
-        measured.values[name], measured.not_computed[name] = values, reasons
-    return measured
+        steadiness.values[name], steadiness.not_computed[name] = values, reasons
+    return steadiness
 
 
 @dataclass

@@ -105,14 +105,14 @@ def published_protocols(capture: Capture) -> list[Protocol]:
     width, height = capture.cameras[0].size
     loaded = [load_protocol(name) for name in packaged_protocols()]
     return [
-        each
-        for each in loaded
-        if each.views.chosen_by.startswith(BY_AUTHORS)
-        and set(each.views.test) <= set(capture.camera_names)
-        and _is_of_scene(each, capture.scene)
-        and each.frames.numbers.stop <= capture.n_frames
-        and (each.frames.count > 1 or capture.n_frames == 1)
-        and abs(each.synthesis.width * height / (each.synthesis.height * width) - 1) <= SAME_SHAPE
+        protocol
+        for protocol in loaded
+        if protocol.views.chosen_by.startswith(BY_AUTHORS)
+        and set(protocol.views.test) <= set(capture.camera_names)
+        and _is_of_scene(protocol, capture.scene)
+        and protocol.frames.numbers.stop <= capture.n_frames
+        and (protocol.frames.count > 1 or capture.n_frames == 1)
+        and abs(protocol.synthesis.width * height / (protocol.synthesis.height * width) - 1) <= SAME_SHAPE
     ]
 
 
@@ -123,8 +123,8 @@ def _is_of_scene(protocol: Protocol, scene: str) -> bool:
 
 
 def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str, str]) -> dict[str, str]:
-    kept = f"not a test view of the packaged protocol {protocol.name}"
-    reasons = {name: protocol.views.chosen_by if name in protocol.views.test else kept for name in capture.camera_names}
+    reason = f"not a test view of the packaged protocol {protocol.name}"
+    reasons = {name: protocol.views.chosen_by if name in protocol.views.test else reason for name in capture.camera_names}
     return {name: f"{reason}; but {doubts[name]}" if name in doubts else reason for name, reason in reasons.items()}
 
 
@@ -198,13 +198,13 @@ def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Ma
         return False, f"the check says {doubts[name]}"
     target = capture.camera(name)
     try:
-        chosen = choose_sources(target, capture.cameras, synthesis.k, synthesis.sources)
+        choices = choose_sources(target, capture.cameras, synthesis.k, synthesis.sources)
     except CameraError as error:
         return False, str(error)
-    sources = [each.camera for each in chosen]
+    sources = [source.camera for source in choices]
     share = shown_share(target, sources, capture.cameras, capture.sensed_cameras)
-    shown = f"{', '.join(camera.name for camera in sources)} cover {100 * share:.0f} % of its view"
-    return share >= LEAST_SHOWN, shown
+    coverage = f"{', '.join(camera.name for camera in sources)} cover {100 * share:.0f} % of its view"
+    return share >= LEAST_SHOWN, coverage
 
 
 def _measured_like(base: Protocol, capture: Capture) -> Measurement:

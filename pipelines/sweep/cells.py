@@ -85,7 +85,7 @@ def shard_cells(cells: Sequence[Cell], shard: Shard) -> list[Cell]:
     """Return the runs that a shard takes part in, with its units of each; one that only prepares has none of any."""
     if shard.is_whole:
         return list(cells)
-    share = {cell.name: [unit for of, unit in shard.pick(units_of(cells)) if of is cell] for cell in cells}
+    share = {cell.name: [unit for owner, unit in shard.pick(units_of(cells)) if owner is cell] for cell in cells}
     return [
         replace(cell, request=replace(cell.request, views=share[cell.name]))
         for cell in cells
@@ -123,8 +123,8 @@ def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -
         return f"this version has no method {label!r}"
     try:
         for path in (row.splats_of(capture) for capture in captures):
-            given = networks if path is None else replace(networks, splats={label: path})
-            find_method(label, given).require()
+            options = networks if path is None else replace(networks, splats={label: path})
+            find_method(label, options).require()
     except (RenderError, WeightsError) as error:
         return str(error)
     return None

@@ -134,23 +134,23 @@ def evaluate_demos(
     plans: list[RunPlan] = []
     failures: tuple[Failure, ...] = ()
     has_grown, shown_s = False, -PAGE_EVERY_S
-    for each in planned:
+    for plan in planned:
         if (
             has_grown and time.monotonic() - shown_s > PAGE_EVERY_S
         ):  # asked here, as the last page is written once, with its figures
             show(report(roots, tables_of=tables, with_figures=False))
             has_grown, shown_s = False, time.monotonic()
-        plans += each.plans if isinstance(each, SweepPlan) else [each]
-        if isinstance(each, SweepPlan):
-            result = run_sweep(each, workers)
-            failures, tables = result.failures, [] if result.table.empty else [each.root]
+        plans += plan.plans if isinstance(plan, SweepPlan) else [plan]
+        if isinstance(plan, SweepPlan):
+            result = run_sweep(plan, workers)
+            failures, tables = result.failures, [] if result.table.empty else [plan.root]
             continue
-        left = count_work([each], each.run.root)
-        if not roots and left.count("depth", "checked depth") and each.protocol.frames.count > FIRST_FRAMES:
-            show(show_first_frames(each, workers))
-        measure(each, workers)
-        shutil.rmtree(first_root(each.run.root), ignore_errors=True)
-        roots = [*dict.fromkeys([*roots, each.run.root])]
+        left = count_work([plan], plan.run.root)
+        if not roots and left.count("depth", "checked depth") and plan.protocol.frames.count > FIRST_FRAMES:
+            show(show_first_frames(plan, workers))
+        measure(plan, workers)
+        shutil.rmtree(first_root(plan.run.root), ignore_errors=True)
+        roots = [*dict.fromkeys([*roots, plan.run.root])]
         has_grown |= bool(left.left)
     if not failures:
         drop_found_depth(plans)
@@ -196,14 +196,14 @@ def run_demos(
         dry_run: print what is left alone.
     """
 
-    def announce(each: RunPlan | SweepPlan) -> RunPlan | SweepPlan:
-        if isinstance(each, RunPlan):
-            print_plan([each], engine.jobs, each.run.root, dry_run)
-            return each
-        print_plan(each.plans, engine.jobs, each.root, dry_run)
-        for failure in each.failures if dry_run else ():
+    def announce(plan: RunPlan | SweepPlan) -> RunPlan | SweepPlan:
+        if isinstance(plan, RunPlan):
+            print_plan([plan], engine.jobs, plan.run.root, dry_run)
+            return plan
+        print_plan(plan.plans, engine.jobs, plan.root, dry_run)
+        for failure in plan.failures if dry_run else ():
             print(f"failed: {failure}", file=sys.stderr)
-        return each
+        return plan
 
     def show(page: Path) -> None:
         print(f"{page} can be opened; it grows with the frames and runs that follow", file=sys.stderr, flush=True)
@@ -229,8 +229,8 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
         return ""
     rooms = [Result(name, root, cost_s=seconds) for name, seconds in CORE_SECONDS.items()]
     first_page = Result("first page", root, cost_s=FIRST_CORE_SECONDS)
-    whole, first = (estimate(results, pace=probe).seconds / jobs for results in (rooms, [first_page]))
-    return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows"
+    total, first = (estimate(results, pace=probe).seconds / jobs for results in (rooms, [first_page]))
+    return f"demo: about {duration(total)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows"
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:

@@ -107,13 +107,13 @@ def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
     Of several captures the means are shown with the single tables.
     """
     stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
-    measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
+    scores_by_name = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
     if planned.shard.is_whole and not stages.failures:
         drop_found_depth(planned.plans)
     parts = []
     for cell in planned.cells if planned.shard.is_whole else ():
-        if cell.name in measured:
-            parts.append(stages.attempt(f"table of {cell.name}", partial(_lines, cell, measured[cell.name])))
+        if cell.name in scores_by_name:
+            parts.append(stages.attempt(f"table of {cell.name}", partial(_lines, cell, scores_by_name[cell.name])))
     parts = [part for part in parts if part is not None]
     n_captures = len({cell.folder for cell in planned.cells})
     table = _with_means(pd.concat(parts), n_captures) if parts else pd.DataFrame()

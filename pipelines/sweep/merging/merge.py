@@ -21,15 +21,15 @@ ROUNDING = 1e-6  # machines add in different orders
 NOT_MERGED = ("report", "first_frames", "depth_page")
 
 
-def same_values(one: Any, other: Any) -> bool:
+def same_values(first: Any, second: Any) -> bool:
     """Return whether two records say the same, up to the rounding of their numbers."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(same_values(one[key], other[key]) for key in one)
-    if isinstance(one, Sequence) and isinstance(other, Sequence) and not isinstance(one, str):
-        return len(one) == len(other) and all(same_values(*pair) for pair in zip(one, other, strict=True))
-    if isinstance(one, float) and isinstance(other, float):
-        return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=ROUNDING) or (math.isnan(one) and math.isnan(other))
-    return bool(one == other)
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return first.keys() == second.keys() and all(same_values(first[key], second[key]) for key in first)
+    if isinstance(first, Sequence) and isinstance(second, Sequence) and not isinstance(first, str):
+        return len(first) == len(second) and all(same_values(*pair) for pair in zip(first, second, strict=True))
+    if isinstance(first, float) and isinstance(second, float):
+        return math.isclose(first, second, rel_tol=ROUNDING, abs_tol=ROUNDING) or (math.isnan(first) and math.isnan(second))
+    return bool(first == second)
 
 
 FILES = ("path/path.json",)  # made by no task, and the same in runs of one protocol
@@ -75,9 +75,9 @@ def merge_runs(
             files = [run.root / record for run in runs if (run.root / record).is_file()]
             for file in files[:1]:
                 _place(file, temporary / record, shutil.copy2)
-            for other in files[1:]:
-                if not filecmp.cmp(files[0], other, shallow=False):
-                    raise _differ(files[0], other, "they have different bytes")
+            for duplicate in files[1:]:
+                if not filecmp.cmp(files[0], duplicate, shallow=False):
+                    raise _differ(files[0], duplicate, "they have different bytes")
         _write_records(runs, temporary)
         if finish is not None:
             try:
@@ -94,8 +94,8 @@ def _result_folders(root: Path) -> list[Path]:
     """
     places = [file.parent.relative_to(root) for file in sorted(root.glob(f"**/{JOB_FILE}"))]
     hidden = {place for place in places if any(part.startswith(".") or part.endswith(ON_SCREEN) for part in place.parts)}
-    shown = [place for place in places if place not in hidden and place.parts[0] not in NOT_MERGED]
-    return [place for place in shown if not any(above in shown for above in place.parents)]
+    merged_places = [place for place in places if place not in hidden and place.parts[0] not in NOT_MERGED]
+    return [place for place in merged_places if not any(above in merged_places for above in place.parents)]
 
 
 def join_results(folders: Sequence[Path], target: Path, place: Place) -> None:
@@ -108,10 +108,10 @@ def join_results(folders: Sequence[Path], target: Path, place: Place) -> None:
     origins: dict[Path, Path] = {}
     for folder in folders:
         files = [(file.relative_to(folder), file) for file in _files_below(folder)]
-        known = [(name, file) for name, file in files if name in origins and name.name != JOB_FILE]
-        wrong = [name for name, file in known if not filecmp.cmp(origins[name], file, shallow=False)]
+        shared = [(name, file) for name, file in files if name in origins and name.name != JOB_FILE]
+        wrong = [name for name, file in shared if not filecmp.cmp(origins[name], file, shallow=False)]
         if wrong:
-            raise _differ(first, folder, f"{len(wrong)} of {len(known)} files have different bytes, first {wrong[0]}")
+            raise _differ(first, folder, f"{len(wrong)} of {len(shared)} files have different bytes, first {wrong[0]}")
         origins = dict(files) | origins
     for name, file in origins.items():
         _place(file, target / name, place)
@@ -121,13 +121,13 @@ def join_results(folders: Sequence[Path], target: Path, place: Place) -> None:
         write_json(target / JOB_FILE, records[0] | {"files": noted})
 
 
-def _difference(record: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def _difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:
     """Return why two results of one name are not the same; empty if they are."""
-    if record.get("sha256") != other.get("sha256"):
-        inputs, others = record.get("identity", {}), other.get("identity", {})
-        changed = [name for name in dict.fromkeys([*inputs, *others]) if inputs.get(name) != others.get(name)]
+    if first.get("sha256") != second.get("sha256"):
+        inputs, other_inputs = first.get("identity", {}), second.get("identity", {})
+        changed = [name for name in dict.fromkeys([*inputs, *other_inputs]) if inputs.get(name) != other_inputs.get(name)]
         return f"they have other {', '.join(changed) or 'inputs'}"
-    if not same_values(record.get("values"), other.get("values")):
+    if not same_values(first.get("values"), second.get("values")):
         return "their values differ"
     return ""
 
@@ -154,9 +154,9 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
     """Refuse runs that do not belong in one table."""
     if not runs:
         raise ResultsError("wanted run folders to merge, got none")
-    first, *others = runs
+    first, *later_runs = runs
     identity = _identity(first)
-    for run in others:
+    for run in later_runs:
         if differences := name_differences(identity, _identity(run)):
             raise ProtocolError(
                 f"{first.root} and {run.root} are not runs of one protocol and capture: {differences}; "
@@ -177,11 +177,11 @@ def _identity(run: RunFolder) -> dict[str, Any]:
 
 def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     first = runs[0]
-    here = next((run for run in runs if run.capture_path().exists()), first)
-    place = here.capture_path().resolve()
+    source_run = next((run for run in runs if run.capture_path().exists()), first)
+    place = source_run.capture_path().resolve()
     place_record = {"absolute": str(place), "from_run": os.path.relpath(place, folder.resolve())}
     shutil.copy2(first.protocol_file, folder / first.protocol_file.name)
-    write_json(folder / "capture.json", here.capture_record() | {"place": place_record})
+    write_json(folder / "capture.json", source_run.capture_record() | {"place": place_record})
     for record in ("depth_record", "live_depth_record"):
         files = [file for run in runs if (file := getattr(run, record)).is_file()]
         if files:
