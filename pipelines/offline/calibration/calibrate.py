@@ -159,7 +159,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         raise CaptureError(
             f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate directly with COLMAP"
         )
-    files, given = _known(files, options)
+    files, known_cameras = _known(files, options)
     aligned = align_instants(frames_folder, files)
     if strange := [name for name in options.own_lens if name not in files]:
         raise CaptureError(
@@ -167,7 +167,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         )
     with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images", aligned.sources)
-        result = run_worker(unfinished, out, _job(files, images, given, options))
+        result = run_worker(unfinished, out, _job(files, images, known_cameras, options))
         missing = _missing(images, result)
         if missing and (not options.allow_missing or len(images) - len(missing) < 2):
             raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out), options.known_poses)
@@ -177,7 +177,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         for table in aligned.tables:
             (unfinished / table).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(frames_folder / table, unfinished / table)
-        if options.known_poses and given and all(camera.is_metric for camera in given.values()):
+        if options.known_poses and known_cameras and all(camera.is_metric for camera in known_cameras.values()):
             (unfinished / UNITS_FILE).write_text("units_per_metre = 1.0\n", encoding="utf-8")
         calibration = _read(unfinished, out, missing, result)
         write_json(unfinished / RECORD, _record(frames_folder, calibration, result, options))
@@ -200,11 +200,11 @@ def _known(
                 f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {choice}; calibrate each"
             )
         return files, None
-    known = read_known(path, sizes)
-    for name, camera in known.items():
+    cameras_by_name = read_known(path, sizes)
+    for name, camera in cameras_by_name.items():
         if name in files:
             files[name] = as_calibrated(files[name], camera.lens.width, camera.lens.height)
-    cameras = fit_known(path, known, {name: file.size for name, file in files.items()})
+    cameras = fit_known(path, cameras_by_name, {name: file.size for name, file in files.items()})
     without = [name for name in cameras if cameras[name].world_to_camera is None]
     if options.known_poses is not None and without:
         raise CaptureError(f"{path}: wanted poses, got only intrinsics of {', '.join(without)}; pass it by --known-intrinsics")
@@ -214,11 +214,11 @@ def _known(
 def _job(
     files: Mapping[str, CameraFrames],
     images: Mapping[str, str],
-    given: Mapping[str, KnownCamera] | None,
+    known_cameras: Mapping[str, KnownCamera] | None,
     options: CalibrationOptions,
 ) -> dict[str, Any]:
     path, with_poses = options.known_poses or options.known_intrinsics or Path(), options.known_poses is not None
-    described = describe_known(path, given or {}, with_poses=with_poses)
+    described = describe_known(path, known_cameras or {}, with_poses=with_poses)
     groups: dict[tuple[int, int], list[str]] = {}
     for name, file in files.items():
         groups.setdefault(file.size, []).append(name)
@@ -259,15 +259,15 @@ def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mappi
     views = {Path(view.image_name).stem: view for view in read_model(unfinished / "sparse" / "0")}
     cameras = {camera.name: camera for camera in pinhole_cameras(rig_of_views(views), out)}
     counts = {Path(image).stem: count for image, count in result["registered"].items()}
-    odd = {Path(image).stem: OddLens(**each) for image, each in result["odd_lenses"].items()}
+    odd = {Path(image).stem: OddLens(**values) for image, values in result["odd_lenses"].items()}
     return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts, odd)
 
 
 def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], options: CalibrationOptions) -> dict[str, Any]:
-    chosen = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
+    values = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     return {
         "frames": str(folder.resolve()),
-        "options": chosen,
+        "options": values,
         "registered": list(calibration.cameras),
         "points_seen": dict(calibration.points_seen),
         "missing": dict(calibration.missing),
@@ -352,17 +352,17 @@ def run_worker(unfinished: Path, out: Path, job: Mapping[str, Any]) -> dict[str,
             child.kill()
     result = work / "result.json"
     if child.returncode or not result.is_file():
-        kept = keep_log(unfinished, out)
-        reason = f"was ended by signal {-child.returncode}" if child.returncode < 0 else f"said '{_last_line(kept)}'"
-        raise CaptureError(f"{out}: wanted a calibration, the pycolmap process {reason}; see its log {kept}")
+        log_copy = keep_log(unfinished, out)
+        reason = f"was ended by signal {-child.returncode}" if child.returncode < 0 else f"said '{_last_line(log_copy)}'"
+        raise CaptureError(f"{out}: wanted a calibration, the pycolmap process {reason}; see its log {log_copy}")
     return dict(json.loads(result.read_text(encoding="utf-8")))
 
 
 def keep_log(unfinished: Path, out: Path) -> Path:
     """Copy the log of a calibration that failed to where it outlives the folder in the making."""
-    kept = out.with_name(f"{out.name}.log")
-    shutil.copyfile(unfinished / LOG, kept)
-    return kept
+    log_copy = out.with_name(f"{out.name}.log")
+    shutil.copyfile(unfinished / LOG, log_copy)
+    return log_copy
 
 
 def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:

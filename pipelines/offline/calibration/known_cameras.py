@@ -188,6 +188,6 @@ def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
     cameras = {}
     for camera, source in zip(capture.cameras, capture.sources, strict=True):
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
-        lens = next((each.lens for each in source_chain(source) if isinstance(each, UndistortedFrames)), pinhole)
+        lens = next((frames.lens for frames in source_chain(source) if isinstance(frames, UndistortedFrames)), pinhole)
         cameras[camera.name] = KnownCamera(lens, camera.world_to_camera)
     return cameras

@@ -37,7 +37,7 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         return odd
     model, _ = free_lenses(shared, ())
     cost, n_residuals = _adjust(model)
-    (given,) = (camera.mean_focal_length() for camera in model.cameras.values())
+    (shared_focal,) = (camera.mean_focal_length() for camera in model.cameras.values())
     while len(odd) < MOST_ODD_SHARE * len(names):
         tried = {name: _freed(shared, [*odd, name]) for name in names if name not in odd}
         best = min(tried, key=lambda name: tried[name][0])
@@ -46,7 +46,7 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         if gain < LEAST_GAIN or abs(factor - 1) < LEAST_DIFFERENCE:
             break
         half_width = SIGMAS * abs(factor - 1) / np.sqrt(gain)
-        odd[best] = {"factor": factor, "half_width": float(half_width), "common_factor": common / given}
+        odd[best] = {"factor": factor, "half_width": float(half_width), "common_factor": common / shared_focal}
         cost = left
     return odd
 
@@ -56,7 +56,7 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
     import pycolmap
 
     model = pycolmap.Reconstruction()
-    own: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     for camera in shared.cameras.values():
         model.add_camera_with_trivial_rig(pycolmap.Camera(camera.todict()))
     for image in sorted(shared.images.values(), key=lambda image: image.image_id):
@@ -65,14 +65,14 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
         number = image.camera_id
         if image.name in names:
             camera = pycolmap.Camera(image.camera.todict())
-            camera.camera_id = number = own[image.name] = max(shared.cameras) + 1 + len(own)
+            camera.camera_id = number = numbers[image.name] = max(shared.cameras) + 1 + len(numbers)
             model.add_camera_with_trivial_rig(camera)
         places = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
         copied = pycolmap.Image(name=image.name, keypoints=places, camera_id=number, image_id=image.image_id)
         model.add_image_with_trivial_frame(copied, image.cam_from_world())
     for _, point in sorted(shared.points3D.items()):
         model.add_point3D(point.xyz, point.track)
-    return model, own
+    return model, numbers
 
 
 def adjust_own(shared: Any, names: Collection[str]) -> Any:
@@ -85,10 +85,10 @@ def adjust_own(shared: Any, names: Collection[str]) -> Any:
 
 def _freed(shared: Any, names: Sequence[str]) -> tuple[float, float, float]:
     """Cost with some images freed, focal length of the last of them as a factor on the common one, and that one, pixels."""
-    model, own = free_lenses(shared, names)
+    model, numbers = free_lenses(shared, names)
     cost, _ = _adjust(model)
     (common,) = (model.cameras[number].mean_focal_length() for number in shared.cameras)
-    return cost, model.cameras[own[names[-1]]].mean_focal_length() / common, common
+    return cost, model.cameras[numbers[names[-1]]].mean_focal_length() / common, common
 
 
 def _adjust(model: Any) -> tuple[float, int]:

@@ -55,13 +55,13 @@ class Rig:
     def project(self, changes: Array, points: Array) -> Array:
         """Expected places of the features, (M, 2), pixels."""
         turns, centres = self.moved(changes)
-        seen = np.einsum("mij,mj->mi", turns[self.camera], points[self.point] - centres[self.camera])
+        points_camera = np.einsum("mij,mj->mi", turns[self.camera], points[self.point] - centres[self.camera])
         uv = np.empty_like(self.uv)
         for number, lens in enumerate(self.lenses):
             rows = slice(*np.searchsorted(self.camera, (number, number + 1)))
             zoom, shift = 1 + changes[number, 6] * self.deviations[number, 6], changes[number, 7:] * self.deviations[number, 7:]
             middle = np.array([lens.principal_point_x, lens.principal_point_y])
-            uv[rows] = zoom * (lens.img_from_cam(seen[rows]) - middle) + middle + shift
+            uv[rows] = zoom * (lens.img_from_cam(points_camera[rows]) - middle) + middle + shift
         return uv
 
 

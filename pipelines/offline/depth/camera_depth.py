@@ -61,8 +61,8 @@ class DepthOptions:
     def describe(self) -> dict[str, object]:
         """Return all that stereo depends on, as values that JSON knows, its code included; part of the key."""
         matcher, filler = (
-            {name: value for name, value in vars(each).items() if not isinstance(value, Path)} if each else None
-            for each in (self.matcher, self.filler)
+            {name: value for name, value in vars(method).items() if not isinstance(value, Path)} if method else None
+            for method in (self.matcher, self.filler)
         )
         described = {
             "algorithm": "match-fuse-finish",
@@ -121,8 +121,8 @@ class DepthEstimator:
         self.pairs = tuple(pairs)
         how = ERROR_PX, options.keyframe_every > 1, shared
         self._raw = matcher.estimator(camera, self.pairs, *how) if pairs else None
-        asked = self.partners if sees_more else self.pairs
-        self._guess = (asked, filler.estimator(camera, asked, *how)) if filler else None
+        views = self.partners if sees_more else self.pairs
+        self._guess = (views, filler.estimator(camera, views, *how)) if filler else None
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Return the depth at one instant.
@@ -136,26 +136,26 @@ class DepthEstimator:
         """
         self._check(image, partner_images)
         raw = DepthMap(*np.zeros((2, *image.shape[:2]), np.float32))
-        seen = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
+        images = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
         if self._raw is not None:
-            raw = self._raw.estimate(image, [seen[pair.name] for pair in self.pairs])
+            raw = self._raw.estimate(image, [images[pair.name] for pair in self.pairs])
         if self._guess is not None and (~is_known(raw.depth)).mean() >= self.options.filler_share / 2:
-            asked, estimator = self._guess
-            found = estimator.estimate(image, [seen[each.name] for each in asked]).clean()
-            raw = replace(raw, guess=fill_background(found.depth, found.confidence, FILLED_CONFIDENCE)[0])
+            views, estimator = self._guess
+            guess = estimator.estimate(image, [images[view.name] for view in views]).clean()
+            raw = replace(raw, guess=fill_background(guess.depth, guess.confidence, FILLED_CONFIDENCE)[0])
         return finish(raw, self.options)
 
     def forget(self) -> None:
         """Begin a new sequence."""
-        for each in (self._raw, self._guess and self._guess[1]):
-            if each is not None:
-                each.forget()
+        for estimator in (self._raw, self._guess and self._guess[1]):
+            if estimator is not None:
+                estimator.forget()
 
     def _check(self, image: Image8, partner_images: Sequence[Image8]) -> None:
         if len(partner_images) != len(self.partners):
             raise DepthError(f"camera {self.camera.name}: wanted {len(self.partners)} partner images, got {len(partner_images)}")
-        for camera, each in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
-            as_image8(each, camera, DepthError)
+        for camera, picture in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
+            as_image8(picture, camera, DepthError)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
@@ -166,18 +166,16 @@ def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
     return _filled(DepthMap(depth, confidence, raw.guess), options)
 
 
-def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
+def _filled(depth_map: DepthMap, options: DepthOptions) -> DepthMap:
     """Fill what is unknown by the guess, if there is one, else from the background."""
-    unknown = ~is_known(known.depth)
-    if known.guess is None or unknown.mean() < options.filler_share:
-        return DepthMap(*fill_background(known.depth, known.confidence, FILLED_CONFIDENCE), known.guess)
-    confidence = np.where(unknown, np.float32(FILLED_CONFIDENCE), known.confidence)
-    return DepthMap(np.where(unknown, known.guess, known.depth), confidence, known.guess)
+    unknown = ~is_known(depth_map.depth)
+    if depth_map.guess is None or unknown.mean() < options.filler_share:
+        return DepthMap(*fill_background(depth_map.depth, depth_map.confidence, FILLED_CONFIDENCE), depth_map.guess)
+    confidence = np.where(unknown, np.float32(FILLED_CONFIDENCE), depth_map.confidence)
+    return DepthMap(np.where(unknown, depth_map.guess, depth_map.depth), confidence, depth_map.guess)
 
 
-def check_depth(
-    camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
-) -> DepthMap:
+def check_depth(camera: Camera, depth_map: DepthMap, views: Sequence[tuple[Camera, DepthMap]], options: DepthOptions) -> DepthMap:
     """Check a camera's depth against the other sources of a view, and fill the rest by its guess or from the background.
 
     Args:
@@ -188,12 +186,12 @@ def check_depth(
     """
     if not options.consistency:
         return depth_map
-    checked = check_consistency(camera, depth_map, others)
+    checked = check_consistency(camera, depth_map, views)
     return replace(_filled(replace(checked, guess=depth_map.guess), options), guess=None)
 
 
 def check_measured_depth(
-    camera: Camera, image: Image8, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
+    camera: Camera, image: Image8, depth_map: DepthMap, views: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
 ) -> DepthMap:
     """`check_depth` of what a sensor measured: the rest is filled along the edges of the colours.
 
@@ -205,5 +203,5 @@ def check_measured_depth(
     """
     if not options.consistency or not options.sensor:
         return depth_map
-    checked = check_consistency(camera, depth_map, others)
+    checked = check_consistency(camera, depth_map, views)
     return fill_by_colour(checked, image)

@@ -33,7 +33,7 @@ def describe_check() -> dict[str, object]:
     return {"algorithm": "consistency", "code": code_of(__name__, FUSION)}
 
 
-def check_consistency(camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
+def check_consistency(camera: Camera, depth_map: DepthMap, sources: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
     """Keep what other cameras' depth confirms or cannot contradict, average it with theirs, and fill in what they agree on.
 
     Each point is looked up in each other depth map. The other supports it where both depths are of one surface, contradicts it
@@ -54,13 +54,13 @@ def check_consistency(camera: Camera, depth_map: DepthMap, others: Sequence[tupl
         0.16 dB. One room at 1344 x 1008 gains 0.32 dB; there an `ERROR_PX` of 0.5 loses 0.14 dB, and 1 to 2 are alike.
     """
     depth = _known_depth(camera, depth_map).ravel()
-    views = [_OtherView(camera, *other) for other in others]
+    views = [_OtherView(camera, *source) for source in sources]
     at = np.flatnonzero(depth).astype(np.int32)
     verdict = _evaluate(camera, views, at, depth[at], depth_map.confidence.ravel()[at])
     agreed = np.minimum(MIN_SUPPORT, verdict.support + verdict.conflict)
-    kept = (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
+    mask = (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
     result, confidence = np.zeros_like(depth), np.zeros_like(depth)
-    result[at[kept]], confidence[at[kept]] = verdict.depth[kept], verdict.confidence[kept]
+    result[at[mask]], confidence[at[mask]] = verdict.depth[mask], verdict.confidence[mask]
     if FILL_SUPPORT > 0:
         _fill(camera, views, result, confidence)
     shape = camera.height, camera.width
@@ -93,14 +93,14 @@ def _evaluate(camera: Camera, views: Sequence["_OtherView"], at: Indices, depth:
         u, v = columns + np.float32(0.5), rows + np.float32(0.5)
         total, mass, weighted = confidence[part].copy(), confidence[part].copy(), confidence[part] * depth[part]
         for view in views:
-            supports, conflicts, theirs, trust = view.ask(u, v, depth[part])
+            supports, conflicts, view_depth, trust = view.ask(u, v, depth[part])
             verdict.support[part] += supports
             verdict.conflict[part] += conflicts
             trust = np.where(supports, trust, np.float32(0))
             total += trust
-            trust = np.where(theirs > 0, trust, np.float32(0))
+            trust = np.where(view_depth > 0, trust, np.float32(0))
             mass += trust
-            weighted += trust * theirs
+            weighted += trust * view_depth
         np.divide(weighted, mass, out=verdict.depth[part], where=(verdict.support[part] > 0) & (mass > 0))
         evaluates = verdict.support[part] + verdict.conflict[part]
         mean = total / (1 + evaluates).astype(np.float32)
@@ -125,11 +125,11 @@ def _fill(camera: Camera, views: Sequence["_OtherView"], depth: Map, confidence:
 class _OtherView:
     """Another camera's depth map, as the camera meets it whose depth is checked."""
 
-    def __init__(self, camera: Camera, other: Camera, depth_map: DepthMap) -> None:
-        self._camera, self._other = camera, other
-        self._depth = _known_depth(other, depth_map).ravel()
-        self._confidence = as_image(depth_map.confidence, other, "confidence", DepthError).ravel()
-        self._there, self._back = _Projection(camera, other), _Projection(other, camera)
+    def __init__(self, camera: Camera, partner: Camera, depth_map: DepthMap) -> None:
+        self._camera, self._other = camera, partner
+        self._depth = _known_depth(partner, depth_map).ravel()
+        self._confidence = as_image(depth_map.confidence, partner, "confidence", DepthError).ravel()
+        self._there, self._back = _Projection(camera, partner), _Projection(partner, camera)
 
     def ask(self, u: Map, v: Map, depth: Map) -> tuple[Mask, Mask, Map, Map]:
         """Check points (P,) of the camera against this view.
@@ -152,9 +152,9 @@ class _OtherView:
         slope = self._there.depth_slope(u, v)
         step = (map_depth - expected) / np.maximum(slope, LEAST_SLOPE)
         counts = (slope > LEAST_SLOPE) & (np.abs(step) <= np.float32(ERROR_SHARE) * depth)
-        theirs = np.where(counts, depth + step, np.float32(0))
+        averaged = np.where(counts, depth + step, np.float32(0))
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)
-        return supports, conflicts, theirs, self._confidence[pixel]
+        return supports, conflicts, averaged, self._confidence[pixel]
 
     def project(self, mask: Mask) -> Map:
         """Return this view's depth in the masked pixels of the camera, the nearest where points meet, (H * W,); inf elsewhere."""

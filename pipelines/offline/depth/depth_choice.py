@@ -28,8 +28,8 @@ def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> Matc
     if kind in built_in.NETWORK_MATCHERS:
         return MATCHERS[kind](checkpoint, device, dense)
     if name not in MATCHERS.known():
-        known = (*MATCHERS, *FORMS)
-        raise DepthError(f"wanted a matcher, got {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
+        choices = (*MATCHERS, *FORMS)
+        raise DepthError(f"wanted a matcher, got {name!r}; known are {', '.join(choices)}{did_you_mean(name, choices)}")
     return MATCHERS[name]()
 
 

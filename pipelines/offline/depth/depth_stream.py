@@ -88,13 +88,13 @@ class DepthStream:
             fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
         except DepthError:  # it cannot be rectified alone
             return blurred, self._whole.estimate(image, partner_images)
-        here = changed[rows, columns]
+        mask = changed[rows, columns]
         renewed = [reference.copy(), depth_map.depth.copy(), depth_map.confidence.copy()]
         newest = [blurred[rows, columns], fresh.depth, fresh.confidence]
         if depth_map.guess is not None and fresh.guess is not None:
             renewed, newest = [*renewed, depth_map.guess.copy()], [*newest, fresh.guess]
         for old, new in zip(renewed, newest, strict=True):
-            old[rows, columns][here] = new[here]
+            old[rows, columns][mask] = new[mask]
         return renewed[0], DepthMap(*renewed[1:])
 
     def _changed(self, reference: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
@@ -105,8 +105,8 @@ class DepthStream:
     def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:
         if window not in self._windows:
             self._windows = dict(list(self._windows.items())[-3:])  # each holds the maps of its pairs
-            asked = replace(self.options, filler_share=0.0)  # the whole map's share of gaps decides, not the window's
-            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, asked, self._whole.pairs)
+            options = replace(self.options, filler_share=0.0)  # the whole map's share of gaps decides, not the window's
+            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, options, self._whole.pairs)
         estimator = self._windows[window]
         estimator.forget()
         return estimator

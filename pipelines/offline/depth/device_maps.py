@@ -97,19 +97,19 @@ def _farther_neighbour(depth: Tensor) -> Tensor:
 def check_consistency(depth: Tensor, confidence: Tensor, between: Tensor) -> Maps:
     """Check each map of a stack against all others, see `consistency.check_consistency`."""
     depth = torch.where(confidence >= consistency.LEAST_CONFIDENCE, depth, 0.0)
-    others = [_Others(depth, confidence, between, shift) for shift in range(1, len(depth))]
-    verdict = _evaluate(others, depth, confidence)
+    views = [_Others(depth, confidence, between, shift) for shift in range(1, len(depth))]
+    verdict = _evaluate(views, depth, confidence)
     agreed = (verdict.support + verdict.conflict).clamp(max=consistency.MIN_SUPPORT)
-    kept = (depth > 0) & (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
-    result, sure = torch.where(kept, verdict.depth, 0.0), torch.where(kept, verdict.confidence, 0.0)
+    mask = (depth > 0) & (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
+    result, sure = torch.where(mask, verdict.depth, 0.0), torch.where(mask, verdict.confidence, 0.0)
     if consistency.FILL_SUPPORT <= 0:
         return result, sure
     nearest, unknown = torch.full_like(depth, torch.inf), result == 0
-    for each in others:
-        layer = torch.where(unknown, each.project(), torch.inf)
-        seen = layer.isfinite()
-        verdict = _evaluate(others, torch.where(seen, layer, 0.0), torch.zeros_like(depth))
-        better = seen & (verdict.support >= min(consistency.FILL_SUPPORT, len(others))) & (verdict.conflict == 0)
+    for view in views:
+        layer = torch.where(unknown, view.project(), torch.inf)
+        mask_of_layer = layer.isfinite()
+        verdict = _evaluate(views, torch.where(mask_of_layer, layer, 0.0), torch.zeros_like(depth))
+        better = mask_of_layer & (verdict.support >= min(consistency.FILL_SUPPORT, len(views))) & (verdict.conflict == 0)
         better &= verdict.depth < nearest
         nearest, sure = torch.where(better, verdict.depth, nearest), torch.where(better, verdict.confidence, sure)
     return torch.where(nearest.isfinite(), nearest, result), sure
@@ -125,16 +125,16 @@ class _Verdict:
     confidence: Tensor
 
 
-def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor) -> _Verdict:
+def _evaluate(views: Sequence["_Others"], depth: Tensor, confidence: Tensor) -> _Verdict:
     """Ask the others about points at this depth, where it is known."""
     support, conflict = (torch.zeros_like(depth) for _ in range(2))
     total, mass, weighted = confidence, confidence, confidence * depth
-    for each in others:
-        supports, conflicts, theirs, trust = each.ask(depth)
+    for view in views:
+        supports, conflicts, view_depth, trust = view.ask(depth)
         support, conflict = support + supports, conflict + conflicts
         trust = torch.where(supports, trust, 0.0)
-        total, counted = total + trust, torch.where(theirs > 0, trust, 0.0)
-        mass, weighted = mass + counted, weighted + counted * theirs
+        total, counted = total + trust, torch.where(view_depth > 0, trust, 0.0)
+        mass, weighted = mass + counted, weighted + counted * view_depth
     averaged = (support > 0) & (mass > 0)
     mean = torch.where(averaged, weighted / torch.where(averaged, mass, 1.0), depth)
     evaluated = support + conflict
@@ -160,16 +160,16 @@ class _Others:
         u, v, expected = _move(self._there, self._rays, depth)
         inside = (depth > 0) & self._inside(u, v, expected)
         u, v = torch.where(inside, u, 0.0), torch.where(inside, v, 0.0)
-        found = self._look_up(u, v, expected)
-        evaluated = inside & (found > 0)
-        back_u, back_v, _ = _move(self._back, _rays(self._back, u, v), found)
-        gap = (found - expected).abs()
+        map_depth = self._look_up(u, v, expected)
+        evaluated = inside & (map_depth > 0)
+        back_u, back_v, _ = _move(self._back, _rays(self._back, u, v), map_depth)
+        gap = (map_depth - expected).abs()
         near = (back_u - self._u).square() + (back_v - self._v).square() <= consistency.ERROR_PX**2
         near |= gap <= consistency.WIDE_SHARE * expected
         supports = evaluated & near & (gap <= consistency.ERROR_SHARE * expected)
-        conflicts = evaluated & ~supports & (found > expected)
+        conflicts = evaluated & ~supports & (map_depth > expected)
         slope = self._rays[2]
-        step = (found - expected) / slope.clamp(min=float(LEAST_SLOPE))
+        step = (map_depth - expected) / slope.clamp(min=float(LEAST_SLOPE))
         counts = supports & (slope > float(LEAST_SLOPE)) & (step.abs() <= consistency.ERROR_SHARE * depth)
         return supports, conflicts, torch.where(counts, depth + step, 0.0), self._at(self._confidence, u.long(), v.long())
 

@@ -44,12 +44,12 @@ class DepthPartners:
         if key not in self._found:
             is_sensed = _sensor(self.capture, source.name, self.options) is not None
             try:
-                others, excluded = self.capture.cameras, () if left_out is None else (left_out,)
+                cameras, excluded = self.capture.cameras, () if left_out is None else (left_out,)
                 if not is_sensed:
-                    chosen = self.options.choose_partners(source, others, excluded)
+                    partners = self.options.choose_partners(source, cameras, excluded)
                 else:
-                    chosen = partners_of_sensed(source, others, self.options, excluded) if self.options.sensor_fills else []
-                self._found[key] = tuple(each.name for each in chosen)
+                    partners = partners_of_sensed(source, cameras, self.options, excluded) if self.options.sensor_fills else []
+                self._found[key] = tuple(partner.name for partner in partners)
             except DepthError as error:
                 self._found[key] = ()
                 if not is_sensed:
@@ -63,14 +63,14 @@ class DepthPartners:
     def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
         """The K sources of a target: of those that have depth if there are enough, else as `choose_sources` takes them."""
         cameras: Sequence[Camera] = self.capture.cameras
-        first = chosen = choose_sources(target, cameras, k, how)
-        while without := {each.camera.name for each in chosen if not self.has_depth(each.camera, target)}:
+        first = choices = choose_sources(target, cameras, k, how)
+        while without := {source.camera.name for source in choices if not self.has_depth(source.camera, target)}:
             cameras = [camera for camera in cameras if camera.name not in without]
             try:
-                chosen = choose_sources(target, cameras, k, how)
+                choices = choose_sources(target, cameras, k, how)
             except CameraError:
                 return first
-        return chosen
+        return choices
 
     def jobs(self, target: Camera, sources: Sequence[ChosenSource]) -> tuple[DepthJob, ...]:
         """Return the depth of the sources of a target, checked against each other; unknown where nothing can be matched."""
@@ -123,9 +123,10 @@ def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, .
     names = [(camera.name, *partners.of(camera)) for camera in capture.cameras if partners.has_depth(camera)]
     if not names:
         raise DepthError(f"{capture.path}: {partners.describe_unmatched()}")
-    jobs = {each[0]: depth_job(capture, each[0], each[1:], options) for each in names}
+    jobs = {group[0]: depth_job(capture, group[0], group[1:], options) for group in names}
     return tuple(
-        _checked(jobs[name], {each: jobs[each] for each in (name, *matched) if each in jobs}, options) for name, *matched in names
+        _checked(jobs[name], {partner: jobs[partner] for partner in (name, *matched) if partner in jobs}, options)
+        for name, *matched in names
     )
 
 
@@ -140,13 +141,13 @@ def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
 
 def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
     """Return a source's depth checked against the view's other sources; in the order of names, so that near targets share it."""
-    others = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
-    if not options.consistency or not others:
+    partners = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
+    if not options.consistency or not partners:
         return job
     described = describe_check()
     if options.sensor and not job.partner_names:
         described |= {"fill": describe_fill()}
-    return job.checked_against(others, described)
+    return job.checked_against(partners, described)
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> Any:
@@ -155,12 +156,12 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> Any:
     return None if source is None else SENSORS["sensor depth"](capture.camera(name), source)
 
 
-def _filled(capture: Capture, job: DepthJob, frame: int, found: DepthMap, options: DepthOptions) -> DepthMap:
+def _filled(capture: Capture, job: DepthJob, frame: int, depth_map: DepthMap, options: DepthOptions) -> DepthMap:
     """Return what stereo found, filled by what a sensor measured where the job says so."""
     if FILLED not in job.spec or (sensor := _sensor(capture, job.camera_name, options)) is None:
-        return found
+        return depth_map
     image = capture.frame(job.camera_name, frame)
-    return fill_by_sensor(found, sensor.at(frame, image), image)
+    return fill_by_sensor(depth_map, sensor.at(frame, image), image)
 
 
 def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], options: DepthOptions) -> DepthJob:
@@ -191,11 +192,11 @@ def prepare_depth(
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: instants, ascending.
     """
-    found, checked = missing_depth(jobs, frames, store)
+    uncomputed, checked = missing_depth(jobs, frames, store)
     if options.matcher.rig and options.keyframe_every == 1:
-        _share_pairs(capture, found, store, options, workers)
-        found, _ = missing_depth(jobs, frames, store)
-    groups = _by_camera(found, options, as_engine(workers).jobs)
+        _share_pairs(capture, uncomputed, store, options, workers)
+        uncomputed, _ = missing_depth(jobs, frames, store)
+    groups = _by_camera(uncomputed, options, as_engine(workers).jobs)
     run_all(partial(_run, capture, store, options), groups, workers, "depth maps per camera")
     run_all(partial(_check, capture, store, options), [*checked.items()], workers, "depth checked against other cameras")
 
@@ -239,7 +240,7 @@ def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, ne
     if not instants or options.matcher.rig is None:
         return
     matched = [(job.camera_name, *job.partner_names) for job in missing]
-    names = list(dict.fromkeys(name for each in matched for name in each))
+    names = list(dict.fromkeys(name for group in matched for name in group))
     rig = options.matcher.rig([capture.camera(name) for name in names], matched, ERROR_PX)
     start, stop = min(instants), max(instants) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
@@ -261,15 +262,15 @@ def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tup
     """Check one camera's depth against the others; runs in a worker."""
     job, frames = item
     key = store.write_spec(job.spec)
-    own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
+    job_key, *partner_keys = ((map_job.camera_name, map_job.key) for map_job in (job.unchecked, *job.checked_with))
     for frame in frames:
         if store.has(key, frame):
             continue  # by another process, which may have dropped what it was checked against
-        views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
-        camera, depth_map = capture.camera(own[0]), store.read(own[1], frame)
+        views = [(capture.camera(name), store.read(partner_key, frame)) for name, partner_key in partner_keys]
+        camera, depth_map = capture.camera(job_key[0]), store.read(job_key[1], frame)
         if job.partner_names:
-            asked = replace(options, filler_share=0.0) if FILLED in job.spec else options  # whatever the share of gaps
-            checked = check_depth(camera, depth_map, views, asked)
+            check_options = replace(options, filler_share=0.0) if FILLED in job.spec else options  # whatever the share of gaps
+            checked = check_depth(camera, depth_map, views, check_options)
         else:
             checked = check_measured_depth(camera, capture.frame(camera.name, frame), depth_map, views, options)
         store.write(key, frame, checked)
@@ -278,21 +279,21 @@ def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tup
 def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
     """Compute frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
     missing = {job: _lacking(store, job, frames) for job, frames in needed.items()}
-    jobs, wanted = [*missing], set().union(*missing.values())
-    if not wanted:
+    jobs, instants = [*missing], set().union(*missing.values())
+    if not instants:
         return
     camera = capture.camera(jobs[0].camera_name)
     if not jobs[0].partner_names:
         sensor = _sensor(capture, camera.name, options)
-        for frame in sorted(wanted):
-            nothing = np.zeros((2, camera.height, camera.width), np.float32)
-            found = sensor.at(frame, capture.frame(camera.name, frame)) if sensor else DepthMap(*nothing)
-            store.write(jobs[0].key, frame, found)
+        for frame in sorted(instants):
+            zeros = np.zeros((2, camera.height, camera.width), np.float32)
+            depth_map = sensor.at(frame, capture.frame(camera.name, frame)) if sensor else DepthMap(*zeros)
+            store.write(jobs[0].key, frame, depth_map)
         return
     shared: SharedMatches | None = {} if len(jobs) > 1 else None
     streams = {job: DepthStream(camera, [capture.camera(name) for name in job.partner_names], options, shared) for job in jobs}
     names = list(dict.fromkeys([camera.name, *(name for job in jobs for name in job.partner_names)]))
-    start, stop = options.first_needed(min(wanted)), max(wanted) + 1
+    start, stop = options.first_needed(min(instants)), max(instants) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
     for frame, pictures in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
         images = dict(zip(names, pictures, strict=True))

@@ -58,70 +58,80 @@ def choose_partners(
             common rectification, which wide pairs of near surfaces do not have.
     """
     passed_over = {camera.name, *excluded}
-    others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
+    rivals = sorted(
+        (candidate for candidate in candidates if candidate.name not in passed_over), key=lambda candidate: candidate.name
+    )
     points = sample_view(camera, GRID, DEPTHS)
-    pairs = _extend([], camera, others, points, count, MAX_ANGLE_RAD, rectified=True)
-    chosen = _extend(pairs, camera, others, points, views, MAX_VIEW_ANGLE_RAD, rectified=False)
-    if not chosen:
+    pairs = _extend([], camera, rivals, points, count, MAX_ANGLE_RAD, rectified=True)
+    partners = _extend(pairs, camera, rivals, points, views, MAX_VIEW_ANGLE_RAD, rectified=False)
+    if not partners:
         degrees = np.rad2deg(MAX_VIEW_ANGLE_RAD if views else MAX_ANGLE_RAD)
         raise DepthError(
-            f"camera {camera.name}: wanted a partner that sees {MIN_OVERLAP:.0%} of its view, got none of {len(others)} cameras, "
+            f"camera {camera.name}: wanted a partner that sees {MIN_OVERLAP:.0%} of its view, got none of {len(rivals)} cameras, "
             f"{camera.near:.3g} .. {camera.far:.3g} deep ({camera.range_origin}), from less than {degrees:.0f} degrees away; "
             f"add cameras, or correct the depth range: {RANGE_MEND}"
         )
-    return [partner.camera for partner in chosen]
+    return [partner.camera for partner in partners]
 
 
 def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
     """Return the first of `choose_partners`' views, which can be matched pair by pair."""
     points = sample_view(camera, GRID, DEPTHS)
-    return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and _can_be_matched(camera, each)]
+    return [
+        partner
+        for partner in partners[:count]
+        if _evaluate(camera, partner, points, MAX_ANGLE_RAD) and _can_be_matched(camera, partner)
+    ]
 
 
 def _extend(
-    chosen: Sequence[Partner],
+    partners: Sequence[Partner],
     camera: Camera,
-    others: Sequence[Camera],
+    candidates: Sequence[Camera],
     points: Array,
     count: int,
     max_angle_rad: float,
     *,
     rectified: bool,
 ) -> list[Partner]:
-    """Up to `count` partners, `chosen` first, each with the largest gain after those before."""
-    chosen, taken = list(chosen), {partner.camera.name for partner in chosen}
-    left = [each for o in others if o.name not in taken and (each := _evaluate(camera, o, points, max_angle_rad)) is not None]
-    while left and len(chosen) < count:
-        best = max(left, key=lambda partner: _gain(partner, chosen))
+    """Up to `count` partners, those of `partners` first, each with the largest gain after those before."""
+    partners, names = list(partners), {partner.camera.name for partner in partners}
+    left = [
+        partner
+        for candidate in candidates
+        if candidate.name not in names and (partner := _evaluate(camera, candidate, points, max_angle_rad)) is not None
+    ]
+    while left and len(partners) < count:
+        best = max(left, key=lambda partner: _gain(partner, partners))
         left.remove(best)
         if not rectified or _can_be_matched(camera, best.camera):
-            chosen.append(best)
-    return chosen
+            partners.append(best)
+    return partners
 
 
-def _can_be_matched(camera: Camera, other: Camera) -> bool:
+def _can_be_matched(camera: Camera, partner: Camera) -> bool:
     """Return whether a pair can be rectified and is worth its search, which is as wide as its nearest surfaces move."""
-    return can_rectify(camera, other, nearest=np.inf if turn_rad(camera, other) <= CLOSE_ANGLE_RAD else 1.0)
+    return can_rectify(camera, partner, nearest=np.inf if turn_rad(camera, partner) <= CLOSE_ANGLE_RAD else 1.0)
 
 
-def _evaluate(camera: Camera, other: Camera, points: Array, max_angle_rad: float) -> Partner | None:
-    """Evaluate what `other` is worth to `camera`; None if a match makes no sense."""
-    uv, depth = other.project(points)
-    inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
-    angle = turn_rad(camera, other)
-    offset = camera.rotation @ (other.centre - camera.centre)
+def _evaluate(camera: Camera, partner: Camera, points: Array, max_angle_rad: float) -> Partner | None:
+    """Evaluate what `partner` is worth to `camera`; None if a match makes no sense."""
+    uv, depth = partner.project(points)
+    inside = (depth > 0) & ((uv > 0) & (uv < partner.size)).all(axis=-1)  # (S,)
+    angle = turn_rad(camera, partner)
+    offset = camera.rotation @ (partner.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
     if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > max_angle_rad or distance <= abs(offset[2]):
         return None
     median_depth = 2 / (1 / camera.near + 1 / camera.far)
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
     fitness = min(1.0, MAX_NEAR_DISPARITY / disparity[0]) * min(1.0, disparity[1] / MIN_MEDIAN_DISPARITY)
-    return Partner(other, inside * fitness * np.cos(angle), offset[:2] / distance)
+    return Partner(partner, inside * fitness * np.cos(angle), offset[:2] / distance)
 
 
-def _gain(partner: Partner, chosen: Sequence[Partner]) -> float:
+def _gain(partner: Partner, partners: Sequence[Partner]) -> float:
     left = np.ones_like(partner.worth)
-    for other in chosen:
-        same = max(0.0, float(partner.direction @ other.direction))
-        left *= 1 - (OTHER_SIDE + (SAME_SIDE - OTHER_SIDE) * same) * (other.worth > 0)
+    for rival in partners:
+        likeness = max(0.0, float(partner.direction @ rival.direction))
+        left *= 1 - (OTHER_SIDE + (SAME_SIDE - OTHER_SIDE) * likeness) * (rival.worth > 0)
     return float((partner.worth * left).sum())

@@ -50,7 +50,7 @@ class RigDepth:
         self, cameras: Sequence[Camera], options: DepthOptions, partners: Mapping[str, Sequence[str]] | None = None
     ) -> None:
         self._cameras, self.options = {camera.name: camera for camera in cameras}, options
-        self._partners = {name: tuple(each) for name, each in (partners or {}).items()}
+        self._partners = {name: tuple(names) for name, names in (partners or {}).items()}
         self._estimators: dict[str, DepthEstimator] = {}
         self._rigs: dict[tuple[str, ...], Any] = {}
         if options.matcher.batch:
@@ -74,13 +74,13 @@ class RigDepth:
             DepthError: no other camera of the rig sees what it sees.
         """
         if name not in self._partners:
-            chosen = self.options.choose_partners(self._cameras[name], list(self._cameras.values()))
-            self._partners[name] = tuple(camera.name for camera in chosen)
+            partners = self.options.choose_partners(self._cameras[name], list(self._cameras.values()))
+            self._partners[name] = tuple(camera.name for camera in partners)
         return self._partners[name]
 
     def needed(self, names: Sequence[str]) -> list[str]:
         """Return the names of the cameras whose pictures the depth of some is found from, theirs included."""
-        return list(dict.fromkeys(each for name in names for each in (name, *self.partners(name))))
+        return list(dict.fromkeys(camera for name in names for camera in (name, *self.partners(name))))
 
     def estimate(self, names: Sequence[str], images: Mapping[str, Image8]) -> dict[str, DepthMap] | dict[str, DeviceDepth]:
         """Return the depth at one instant.
@@ -99,9 +99,9 @@ class RigDepth:
         pictures = {name: as_image8(images.get(name), self._cameras[name], DepthError) for name in needed}
         if self.options.matcher.batch:
             at = {name: index for index, name in enumerate(needed)}
-            matched = [tuple(at[each] for each in (name, *self.partners(name))) for name in names]
-            found = self._batch.estimate([self._cameras[name] for name in needed], matched, list(pictures.values()))
-            return {name: DeviceDepth(*each) for name, each in zip(names, found, strict=True)}
+            matched = [tuple(at[camera] for camera in (name, *self.partners(name))) for name in names]
+            device_maps = self._batch.estimate([self._cameras[name] for name in needed], matched, list(pictures.values()))
+            return {name: DeviceDepth(*device_map) for name, device_map in zip(names, device_maps, strict=True)}
         maps = dict(zip(names, self._found_here(names, pictures), strict=True))
         return maps if not self.options.consistency or len(names) == 1 else {name: self._checked(name, maps) for name in maps}
 
@@ -112,15 +112,15 @@ class RigDepth:
                 matched = [(name, *self.partners(name)) for name in names]
                 cameras = [self._cameras[name] for name in self.needed(names)]
                 self._rigs = {key: self.options.matcher.rig(cameras, matched, ERROR_PX)}  # the last alone
-            return [finish(each, self.options) for each in self._rigs[key].estimate(pictures)]
+            return [finish(depth_map, self.options) for depth_map in self._rigs[key].estimate(pictures)]
         for name in names:
             if name not in self._estimators:
-                partners = [self._cameras[each] for each in self.partners(name)]
+                partners = [self._cameras[partner] for partner in self.partners(name)]
                 self._estimators[name] = DepthEstimator(self._cameras[name], partners, self.options)
-        each = ((name, [pictures[partner] for partner in self.partners(name)]) for name in names)
-        return [self._estimators[name].estimate(pictures[name], others) for name, others in each]
+        inputs = ((name, [pictures[partner] for partner in self.partners(name)]) for name in names)
+        return [self._estimators[name].estimate(pictures[name], partner_images) for name, partner_images in inputs]
 
     def _checked(self, name: str, maps: Mapping[str, DepthMap]) -> DepthMap:
         """Return a map after its check against those of the other sources."""
-        others = [(self._cameras[other], each) for other, each in maps.items() if other != name]
-        return check_depth(self._cameras[name], maps[name], others, self.options)
+        views = [(self._cameras[partner], depth_map) for partner, depth_map in maps.items() if partner != name]
+        return check_depth(self._cameras[name], maps[name], views, self.options)

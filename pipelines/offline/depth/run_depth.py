@@ -60,7 +60,7 @@ class MatchedDepth:
     def of_run(
         cls,
         run: RunFolder,
-        asked: DepthRunOptions | None,
+        request: DepthRunOptions | None,
         capture: Capture,
         protocol: Protocol,
         device: str,
@@ -74,7 +74,7 @@ class MatchedDepth:
             device: of networks, where the folder names none.
             methods: that are rendered; none if the run is only prepared.
         """
-        choice, device, compared = _recorded_choice(run, asked, device)
+        choice, device, compared = _recorded_choice(run, request, device)
         is_wanted = any(spec.uses_depth for spec in methods)
         if choice.sensor == "compare" and capture.sensed_cameras and is_wanted:
             choice, compared = _use_sensors(choice, capture, protocol, device)
@@ -92,11 +92,11 @@ class MatchedDepth:
     def is_outdated(run: RunFolder) -> bool:
         """Return whether all depth of a run was found by other code."""
         specs = [read_record(folder).get("identity", {}) for folder in run.depth.glob("*/")]
-        found = {spec["options"].get("code") for spec in specs if "options" in spec}
+        codes = {spec["options"].get("code") for spec in specs if "options" in spec}
         try:
             options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
             of_sensors = [code_of(str(SENSORS.root(name))) for name in SENSORS.present()]
-            return bool(found) and found.isdisjoint([options.describe()["code"], *of_sensors])
+            return bool(codes) and codes.isdisjoint([options.describe()["code"], *of_sensors])
         except (GgvsError, TypeError):
             return False
 
@@ -133,20 +133,20 @@ class MatchedDepth:
         """
         partners, capture = self.partners, self.partners.capture
         k, how = self.protocol.synthesis.k, self.protocol.synthesis.sources
-        chosen = {target.name: partners.sources(target, k, how) for target in targets}
+        sources_of = {target.name: partners.sources(target, k, how) for target in targets}
         is_wanted = any(spec.uses_depth for spec in self.methods)
         if is_wanted or not self.methods:
-            self._require_sight(targets, chosen)
+            self._require_sight(targets, sources_of)
         blind = []
         for target in targets:
-            if not any(partners.has_depth(source.camera, target) for source in chosen[target.name]):
+            if not any(partners.has_depth(source.camera, target) for source in sources_of[target.name]):
                 blind.append(target.name)
         if blind and is_wanted:
             without = f"no source of {listed(blind)} has depth; {partners.describe_unmatched()}"
             raise DepthError(f"{capture.path}: {without}; {WITHOUT_DEPTH}")
         plans = {}
         for target in targets:
-            sources = chosen[target.name]
+            sources = sources_of[target.name]
             shares = {source.camera.name: source.share for source in sources}
             plans[target.name] = SourcePlan(target, partners.jobs(target, sources), shares)
         return plans
@@ -178,7 +178,7 @@ class MatchedDepth:
         """Return what finds this depth as pictures arrive."""
         return RigDepth(cameras, self.options, partners)
 
-    def _require_sight(self, targets: Sequence[Camera], chosen: Mapping[str, Sequence[ChosenSource]]) -> None:
+    def _require_sight(self, targets: Sequence[Camera], sources_of: Mapping[str, Sequence[ChosenSource]]) -> None:
         """Refuse test views of which their sources can show too little."""
         capture = self.partners.capture
         sensed = capture.sensed_cameras if self.options.sensor else frozenset[str]()
@@ -186,15 +186,15 @@ class MatchedDepth:
         for target in targets:
             if target.name not in self.protocol.views.test:
                 continue
-            sources = [source.camera for source in chosen[target.name]]
+            sources = [source.camera for source in sources_of[target.name]]
             try:
                 require_sight(target, sources, capture.cameras, sensed)
             except CameraError as error:
                 unseen[target.name] = error
         if unseen:
-            (_, first), *others = unseen.items()
-            names = listed(name for name, _ in others)
-            more = f"; the same holds for {names}" if others else ""
+            (_, first), *further = unseen.items()
+            names = listed(name for name, _ in further)
+            more = f"; the same holds for {names}" if further else ""
             raise CameraError(f"{first}{more}; {WITHOUT_DEPTH}") from first
 
 
@@ -205,16 +205,16 @@ def _use_sensors(
 
     Depth that the user gave is used as it is, and so is a sensor's where nothing can be compared.
     """
-    asked = tuple(name for name in capture.camera_names if name not in protocol.views.test)
+    names = tuple(name for name in capture.camera_names if name not in protocol.views.test)
     compared = None
     if not capture.given_depth:
-        compared = unexplained(capture, asked, choice.options(device), protocol.frames.start)
+        compared = unexplained(capture, names, choice.options(device), protocol.frames.start)
     fills = compared is not None and compared[1] < compared[0]
     record = {UNEXPLAINED: list(compared)} if compared else {}
     return replace(choice, sensor="fill" if fills else "alone"), record
 
 
-def _recorded_choice(run: RunFolder, asked: DepthRunOptions | None, device: str) -> tuple[DepthRunOptions, str, dict[str, Any]]:
+def _recorded_choice(run: RunFolder, request: DepthRunOptions | None, device: str) -> tuple[DepthRunOptions, str, dict[str, Any]]:
     """Return how this folder's depth is found, or will be, on which device, and by what it was chosen.
 
     Methods of one table must be given the same.
@@ -224,12 +224,12 @@ def _recorded_choice(run: RunFolder, asked: DepthRunOptions | None, device: str)
         was prepared on a GPU would be prepared again where it is looked at. That device is missed only where a map is.
     """
     if not run.depth_record.is_file():
-        choice = asked or DepthRunOptions()
+        choice = request or DepthRunOptions()
         return choice, checked_device(device) if choice.is_learned else "cpu", {}
     values = read_json(run.depth_record)
     record = DepthRunOptions.from_record(values)
-    if asked not in (None, record, replace(record, sensor="compare")):
+    if request not in (None, record, replace(record, sensor="compare")):
         found_by = f"{record.options().matcher.name} ({run.depth_record.name})"
-        raise ProtocolError(f"{run.root}: holds a run whose depth is found by {found_by}, wanted {asked}; choose a new folder")
+        raise ProtocolError(f"{run.root}: holds a run whose depth is found by {found_by}, wanted {request}; choose a new folder")
     compared = {name: values[name] for name in values if name == UNEXPLAINED}
     return record, values.get(DEVICE, "cpu"), compared

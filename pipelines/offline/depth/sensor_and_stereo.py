@@ -35,10 +35,12 @@ def partners_of_sensed(
     Their search takes long, four fifths of all in hololens_rgbd, and finds nothing that the sensor does not know: views of its
     first half have the same PSNR without them.
     """
-    return [each for each in options.choose_partners(camera, cameras, excluded) if can_rectify(camera, each, nearest=1.0)]
+    return [
+        partner for partner in options.choose_partners(camera, cameras, excluded) if can_rectify(camera, partner, nearest=1.0)
+    ]
 
 
-def fill_by_sensor(found: DepthMap, measured: DepthMap, image: Image8) -> DepthMap:
+def fill_by_sensor(depth_map: DepthMap, sensor_map: DepthMap, image: Image8) -> DepthMap:
     """Replace what stereo did not find by what a sensor measured, filled along colours; it is the guess of later checks too.
 
     Reading:
@@ -46,11 +48,11 @@ def fill_by_sensor(found: DepthMap, measured: DepthMap, image: Image8) -> DepthM
         Choosing per pixel what explains the other sources better has at most 31.04, 30.20 and 21.44 dB, where both have 31.18,
         30.43 and 21.41 (three views each of rooms with misplaced depth, with blurred pictures, and of a real sequence).
     """
-    guess = fill_by_colour(measured, image).depth
-    guess = np.where(guess > 0, guess, found.depth)
-    unknown = found.confidence < LEAST_CONFIDENCE
-    confidence = np.where(unknown, np.float32(FILLED_CONFIDENCE), found.confidence)
-    return DepthMap(np.where(unknown, guess, found.depth), confidence, guess)
+    guess = fill_by_colour(sensor_map, image).depth
+    guess = np.where(guess > 0, guess, depth_map.depth)
+    unknown = depth_map.confidence < LEAST_CONFIDENCE
+    confidence = np.where(unknown, np.float32(FILLED_CONFIDENCE), depth_map.confidence)
+    return DepthMap(np.where(unknown, guess, depth_map.depth), confidence, guess)
 
 
 def unexplained(capture: Capture, names: tuple[str, ...], options: DepthOptions, frame: int) -> tuple[float, float] | None:
@@ -90,33 +92,36 @@ class ByContent:
 def _unexplained(content: ByContent, names: tuple[str, ...], options: DepthOptions, frame: int) -> tuple[float, float] | None:
     capture = content.capture
     cameras = [capture.camera(name) for name in names]
-    sensors = {each: source for each in cameras if (source := capture.extras_of(each.name).depth) is not None}
+    sensors = {camera: source for camera in cameras if (source := capture.extras_of(camera.name).depth) is not None}
     places = np.linspace(0, len(sensors) - 1, min(COMPARED, len(sensors))).round().astype(int)
-    found = []
+    means = []
     for camera, source in track([[*sensors.items()][place] for place in places], "sensors held against stereo"):
         try:
-            others = partners_of_sensed(camera, cameras, replace(options, partners=2 * options.partners))
+            matched = partners_of_sensed(camera, cameras, replace(options, partners=2 * options.partners))
         except DepthError:
             continue
-        partners, judges = others[::2], others[1::2]
+        partners, judges = matched[::2], matched[1::2]
         if not judges:
             continue
-        image, *seen = (capture.frame(each.name, frame) for each in (camera, *partners, *judges))
-        stereo = DepthEstimator(camera, partners, options).estimate(image, seen[: len(partners)])
+        image, *pictures = (capture.frame(view.name, frame) for view in (camera, *partners, *judges))
+        stereo = DepthEstimator(camera, partners, options).estimate(image, pictures[: len(partners)])
         maps = SENSORS["sensor depth"](camera, source).at(frame, image), stereo
-        judged = [(judge, picture) for judge, picture in zip(judges, seen[len(partners) :], strict=True)]
-        errors = [np.sort([_difference(camera, image, each.depth, *one) for one in judged], 0)[:2].mean(0) for each in maps]
-        both = np.isfinite(errors).all(0) & (maps[0].confidence > 0) & (stereo.confidence >= LEAST_CONFIDENCE)
-        if both.any():
-            found.append([np.log(error[both].mean() + 1e-6) for error in errors])
-    return None if not found else (*np.exp(np.mean(found, 0)).tolist(),)
+        judged = list(zip(judges, pictures[len(partners) :], strict=True))
+        errors = []
+        for depth_map in maps:
+            differences = [_difference(camera, image, depth_map.depth, *judge) for judge in judged]
+            errors.append(np.sort(differences, 0)[:2].mean(0))  # occluded judges are the worst ones
+        is_known_twice = np.isfinite(errors).all(0) & (maps[0].confidence > 0) & (stereo.confidence >= LEAST_CONFIDENCE)
+        if is_known_twice.any():
+            means.append([np.log(error[is_known_twice].mean() + 1e-6) for error in errors])
+    return None if not means else (*np.exp(np.mean(means, 0)).tolist(),)
 
 
 def _difference(camera: Camera, image: Image8, depth: Map, judge: Camera, picture: Image8) -> Map:
     """Return the local difference of an image from a judge's picture at its depth, (H, W), infinite where that shows nothing."""
     uv, z = judge.project(camera.unproject(camera.pixel_centres(), depth.astype(float)))
-    shown = cv2.remap(picture, (uv - 0.5).astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    difference = shown.astype(np.float32) - image
+    warped = cv2.remap(picture, (uv - 0.5).astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    difference = warped.astype(np.float32) - image
     local = np.abs(difference - cv2.blur(difference, (LOCAL_PX, LOCAL_PX))).mean(2)
     inside = (depth > 0) & (z > 0) & ((uv > 0) & (uv < judge.size)).all(2)
     return np.where(inside, cv2.blur(local, (WINDOW_PX, WINDOW_PX)), np.inf)

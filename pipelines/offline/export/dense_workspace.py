@@ -92,7 +92,7 @@ def write_dense_workspace(
         every camera whose own depth agrees; their normals and the normal maps come from planes fitted to the depth.
     """
     _check(cameras, images, depth_maps, folder)
-    depths = [np.where(each.confidence >= LEAST_CONFIDENCE, each.depth, np.float32(0)) for each in depth_maps]
+    depths = [np.where(depth_map.confidence >= LEAST_CONFIDENCE, depth_map.depth, np.float32(0)) for depth_map in depth_maps]
     with atomic_folder(folder) as unfinished:
         _write_maps(cameras, images, depths, unfinished)
         points = _surface_points(cameras, depths, points_per_camera)
@@ -127,7 +127,7 @@ def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]
     names = [camera.name for camera in cameras]
     lines = []
     for name in names:
-        partner_images = [_image(other) for other in partners.get(name, ()) if other in names]
+        partner_images = [_image(partner) for partner in partners.get(name, ()) if partner in names]
         lines += [_image(name), ", ".join(partner_images) or "__auto__, 20"]
     (folder / "patch-match.cfg").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     (folder / "fusion.cfg").write_text("".join(f"{_image(name)}\n" for name in names), encoding="utf-8")
@@ -138,8 +138,8 @@ def _surface_points(cameras: Sequence[Camera], depths: Sequence[Map], count: int
     points = [np.zeros((0, 3))]
     for camera, depth in zip(cameras, depths, strict=True):
         valid_pixels = np.flatnonzero(depth)
-        chosen = valid_pixels[np.linspace(0, len(valid_pixels) - 1, min(count, len(valid_pixels))).astype(np.intp)]
-        row, column = np.unravel_index(chosen, depth.shape)
+        pixels = valid_pixels[np.linspace(0, len(valid_pixels) - 1, min(count, len(valid_pixels))).astype(np.intp)]
+        row, column = np.unravel_index(pixels, depth.shape)
         centres = np.stack([column, row], axis=1).astype(np.float64) + 0.5
         points.append(camera.unproject(centres, depth[row, column].astype(np.float64)))
     return np.concatenate(points)
@@ -149,12 +149,12 @@ def _shared(
     cameras: Sequence[Camera], images: Sequence[Image8], depths: Sequence[Map], points: Array
 ) -> tuple[list[Sightings], Array]:
     """Return each camera's sightings of the points that two cameras or more see, and these points."""
-    sightings = [_sightings(*each, points) for each in zip(cameras, images, depths, strict=True)]
-    times = np.bincount(np.concatenate([each.point for each in sightings]), minlength=len(points))
-    kept = times >= 2
-    renumbered = np.cumsum(kept) - 1
-    shared = [each.rows(kept[each.point]) for each in sightings]
-    return [each._replace(point=renumbered[each.point]) for each in shared], points[kept]
+    sightings = [_sightings(*view, points) for view in zip(cameras, images, depths, strict=True)]
+    times = np.bincount(np.concatenate([sighting.point for sighting in sightings]), minlength=len(points))
+    mask = times >= 2
+    renumbered = np.cumsum(mask) - 1
+    shared = [sighting.rows(mask[sighting.point]) for sighting in sightings]
+    return [sighting._replace(point=renumbered[sighting.point]) for sighting in shared], points[mask]
 
 
 def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sightings:

@@ -68,7 +68,7 @@ def mesh_of(
     mesh = grid.extract_triangle_mesh(FEWEST_VIEWS)
     if "positions" not in mesh.vertex or not len(mesh.vertex.positions):
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-    vertices, colours = (each.numpy().astype(np.float64) for each in (mesh.vertex.positions, mesh.vertex.colors))
+    vertices, colours = (tensor.numpy().astype(np.float64) for tensor in (mesh.vertex.positions, mesh.vertex.colors))
     return _in_order(vertices + origin, np.clip(colours, 0, 1), mesh.triangle.indices.numpy().astype(np.int64))
 
 
@@ -129,22 +129,22 @@ def _window_sums(depth: Map) -> Map:
     sums = np.zeros((9, height, width), np.float32)
     for row, column in np.ndindex(2 * RADIUS_PX + 1, 2 * RADIUS_PX + 1):
         neighbour = padded[row : row + height, column : column + width]
-        same = (depth > 0) & (neighbour > 0) & (np.abs(neighbour - depth) <= SAME_SURFACE * depth)
-        excess = np.divide(depth - neighbour, neighbour, out=np.zeros_like(depth), where=same)
+        on_surface = (depth > 0) & (neighbour > 0) & (np.abs(neighbour - depth) <= SAME_SURFACE * depth)
+        excess = np.divide(depth - neighbour, neighbour, out=np.zeros_like(depth), where=on_surface)
         u, v = np.float32(column - RADIUS_PX), np.float32(row - RADIUS_PX)
         for total, factor in zip(sums[:6], (u * u, u * v, v * v, u, v, np.float32(1)), strict=True):
-            np.add(total, factor, out=total, where=same)
+            np.add(total, factor, out=total, where=on_surface)
         for total, factor in zip(sums[6:], (u, v, np.float32(1)), strict=True):
             total += factor * excess
     return sums
 
 
 def _solve(
-    uu: Array, uv: Array, vv: Array, u: Array, v: Array, one: Array, ru: Array, rv: Array, r: Array
+    uu: Array, uv: Array, vv: Array, u: Array, v: Array, count: Array, ru: Array, rv: Array, r: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Cramer's rule for the slopes across and down, the level, and the determinant, (H, W) each."""
-    a, b, c = vv * one - v * v, u * v - uv * one, uv * v - u * vv
-    d, e, f = uu * one - u * u, u * uv - uu * v, uu * vv - uv * uv
+    a, b, c = vv * count - v * v, u * v - uv * count, uv * v - u * vv
+    d, e, f = uu * count - u * u, u * uv - uu * v, uu * vv - uv * uv
     determinant: Array = uu * a + uv * b + u * c
     safe = np.where(determinant > 0, determinant, 1.0)
     return (a * ru + b * rv + c * r) / safe, (b * ru + d * rv + e * r) / safe, (c * ru + e * rv + f * r) / safe, determinant
@@ -217,7 +217,7 @@ def fuse_instant(
     if not 0 <= voxel < np.inf:
         raise DepthError(f"fuse: wanted a voxel of 0 or more units, got {voxel:g}")
     _check_sizes(cameras, images, depth_maps)
-    views = [_trusted(*each) for each in zip(cameras, images, depth_maps, strict=True)]
+    views = [_trusted(*view) for view in zip(cameras, images, depth_maps, strict=True)]
     if not any(view.depth.any() for view in views):
         raise DepthError(
             f"{folder}: wanted pixels with a confidence of {LEAST_CONFIDENCE:g} or more, {len(cameras)} depth maps have "
@@ -288,7 +288,7 @@ def _mesh(views: Sequence[_View], middle: Array, voxel: float, fewest_triangles:
     utility = open3d.utility
     mesh = open3d.geometry.TriangleMesh(utility.Vector3dVector(surface.vertices), utility.Vector3iVector(surface.triangles))
     mesh.vertex_colors = utility.Vector3dVector(surface.colours)
-    part, n_triangles, _ = (np.asarray(each) for each in mesh.cluster_connected_triangles())
+    part, n_triangles, _ = (np.asarray(values) for values in mesh.cluster_connected_triangles())
     mesh.remove_triangles_by_mask(n_triangles[part] < fewest_triangles if len(part) else [])
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()

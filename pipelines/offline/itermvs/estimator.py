@@ -84,7 +84,7 @@ def load_network(
         layout: of the weights, which convolutions follow.
     """
     network = IterMvsNetwork()
-    load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
+    load_strict(read_tensors(path, CHECKPOINT_KEY, model=NETWORK), network, path, NETWORK)
     network.to(memory_format=layout)  # type: ignore[call-overload]  # not in torch's overloads
     return network.eval().to(device)
 
@@ -140,17 +140,17 @@ class IterMvsRig:
         alike = len({camera.size for camera in cameras}) == 1
         spare = int(alike and len(matched) > 1 and len(cameras) % 2)  # sources that change then need fewer recordings
         if not alike and len(matched) > 1:
-            return [each for one in matched for each in self.estimate(cameras, [one], images)]
+            return [pair for members in matched for pair in self.estimate(cameras, [members], images)]
         groups = [list(range(len(cameras)))] if alike else [[index] for index in matched[0]]
         partners = max(map(len, matched)) - 1
         with rendering_on(self._device):
-            sizes = [(len(each) + spare, *stretched[each[0]].size) for each in groups]
+            sizes = [(len(group) + spare, *stretched[group[0]].size) for group in groups]
             batch = self._batch(len(matched), partners, cameras[matched[0][0]].size, sizes)
-            members = [tuple(each) for each in matched] if alike else [(0,) * (1 + partners)]
+            members = [tuple(group) for group in matched] if alike else [(0,) * (1 + partners)]
             batch.match(
-                [[stretched[index] for index in each] for each in matched], members, [cameras[own] for own, *_ in matched]
+                [[stretched[index] for index in group] for group in matched], members, [cameras[first] for first, *_ in matched]
             )
-            batch.show([[images[index] for index in each] for each in groups])
+            batch.show([[images[index] for index in group] for group in groups])
             return [(depth.clone(), confidence.clone()) for depth, confidence in zip(*batch.run(), strict=True)]
 
     def _batch(self, maps: int, partners: int, size: tuple[int, int], pictures: Sequence[Pictures]) -> "_Batch":
@@ -196,41 +196,43 @@ class _Batch:
         self._between = torch.zeros((maps, maps, 12), device=device)
         self._host, self._uploaded = self._pictures, None
         if device.type == "cuda":
-            self._host = [torch.empty(each.shape, dtype=each.dtype, device="cpu", pin_memory=True) for each in self._pictures]
+            self._host = [
+                torch.empty(pictures.shape, dtype=pictures.dtype, device="cpu", pin_memory=True) for pictures in self._pictures
+            ]
             self._uploaded = torch.cuda.Event()
         self._graph: torch.cuda.CUDAGraph | None = None
         self._outcome: tuple[Tensor, Tensor] | None = None
         self._matched: object = None
 
-    def match(self, matched: Sequence[Sequence[Camera]], members: Sequence[tuple[int, ...]], own: Sequence[Camera]) -> None:
+    def match(self, matched: Sequence[Sequence[Camera]], members: Sequence[tuple[int, ...]], cameras: Sequence[Camera]) -> None:
         """Take these cameras and their partners, at the size of their pictures; what is there already is not uploaded again.
 
         Args:
             members: index of each picture in its buffer.
-            own: the cameras at the size of the maps.
+            cameras: the cameras at the size of the maps.
         """
         if self._matched == (matched, members):
             return
         self._matched = matched, members
         views, projections = self._views, np.zeros(self._views.projections.shape, np.float32)
-        for k, (camera, *others) in enumerate(matched):
-            numbers = [_projection(camera, other, camera.K_opencv, other.K_opencv) for other in others]
-            projections[k, : len(others)] = [[*each, 1] for each in numbers]
-        padded = [each + each[:1] * (views.members.shape[1] - len(each)) for each in members]
-        ranges = [(1 / each.far, 1 / each.near - 1 / each.far, NEAREST_SHARE * each.near) for each in own]
-        between = projections_between(own) if self._finish is not None else np.zeros(self._between.shape)
+        for k, (camera, *partners) in enumerate(matched):
+            numbers = [_projection(camera, partner, camera.K_opencv, partner.K_opencv) for partner in partners]
+            projections[k, : len(partners)] = [[*projection, 1] for projection in numbers]
+        padded = [slots + slots[:1] * (views.members.shape[1] - len(slots)) for slots in members]
+        ranges = [(1 / view.far, 1 / view.near - 1 / view.far, NEAREST_SHARE * view.near) for view in cameras]
+        between = projections_between(cameras) if self._finish is not None else np.zeros(self._between.shape)
         buffers = views.members, views.projections, views.ranges, self._between
-        for there, values in zip(buffers, (padded, projections, ranges, between), strict=True):
-            there.copy_(torch.as_tensor(np.asarray(values), dtype=there.dtype, device="cpu"))
+        for buffer, values in zip(buffers, (padded, projections, ranges, between), strict=True):
+            buffer.copy_(torch.as_tensor(np.asarray(values), dtype=buffer.dtype, device="cpu"))
 
     def show(self, images: Sequence[Sequence[Image8]]) -> None:
         """Take these pictures, of any size; the host waits for the upload of the instant before, and not for this one."""
         if self._uploaded is not None:
             self._uploaded.synchronize()
-        for host, there, group in zip(self._host, self._pictures, images, strict=True):
+        for host, pictures, group in zip(self._host, self._pictures, images, strict=True):
             for slot, image in zip(host.numpy(), group, strict=False):  # one may be spare
                 cv2.resize(image, slot.shape[1::-1], dst=slot, interpolation=cv2.INTER_LINEAR)
-            there.copy_(host, non_blocking=True)
+            pictures.copy_(host, non_blocking=True)
         if self._uploaded is not None:
             self._uploaded.record()
 
@@ -281,8 +283,8 @@ class IterMvsEstimator(Estimator):
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Return the depth at one instant, everywhere, and the network's own confidence, (H, W)."""
-        found = self._rig.estimate(self._cameras, [range(len(self._cameras))], (image, *partner_images))
-        return DepthMap(*(each.cpu().numpy() for each in found[0]))
+        maps = self._rig.estimate(self._cameras, [range(len(self._cameras))], (image, *partner_images))
+        return DepthMap(*(values.cpu().numpy() for values in maps[0]))
 
 
 @lru_cache(maxsize=256)
@@ -305,8 +307,8 @@ def _projection(first: Camera, second: Camera, first_matrix: Array, second_matri
 
 
 @lru_cache(maxsize=64)
-def _nearest(size: int, wanted: int, device: torch.device) -> Tensor:
-    """Return the index of the nearest of some pixels in a line for each of those wanted, (wanted,)."""
+def _nearest(size: int, count: int, device: torch.device) -> Tensor:
+    """Return the index of the nearest of some pixels in a line for each of `count`, (count,)."""
     line = np.arange(size, dtype=np.float32)[None]
-    nearest = cv2.resize(line, (wanted, 1), interpolation=cv2.INTER_NEAREST_EXACT)[0]
+    nearest = cv2.resize(line, (count, 1), interpolation=cv2.INTER_NEAREST_EXACT)[0]
     return torch.as_tensor(nearest.astype(np.int64), device=device)

@@ -117,7 +117,7 @@ class FeatureNetwork(nn.Module):
         of_quarter = _enlarged(eighth) + self.inner2(quarter)
         of_half = _enlarged(of_quarter) + self.inner1(half)
         outputs = self.output1(of_half), self.output2(of_quarter), self.output3(eighth)
-        return [each.float().contiguous() for each in outputs]
+        return [output.float().contiguous() for output in outputs]
 
 
 class ViewWeight(nn.Module):
@@ -147,10 +147,10 @@ class CorrelationNetwork(nn.Module):
 
     def forward(self, correlation: Tensor) -> Tensor:
         """(K, N, G, H, W), sides multiples of 4, to the score of each hypothesis, (K, N, H, W)."""
-        whole = self.conv0(correlation.flatten(0, 1))
-        half = self.conv1(whole)
+        full = self.conv0(correlation.flatten(0, 1))
+        half = self.conv1(full)
         half = half + self.conv3(self.conv2(half))
-        score: Tensor = self.conv5(whole + self.conv4(half))
+        score: Tensor = self.conv5(full + self.conv4(half))
         return score.float().reshape(correlation[:, :, 0].shape)
 
 
@@ -176,8 +176,8 @@ class Evaluation(nn.Module):
             (K, N, H / 8, W / 8), and of each partner (K, 1, H / 4, W / 4).
         """
         size = depths.shape[2:]
-        correlations = [_correlate(reference[2], each, 2, each.rays(size, 8), depths, nearest) for each in partners]
-        weights = [self.pixel_view_weight(c) * each.counted for c, each in zip(correlations, partners, strict=True)]
+        correlations = [_correlate(reference[2], partner, 2, partner.rays(size, 8), depths, nearest) for partner in partners]
+        weights = [self.pixel_view_weight(c) * partner.counted for c, partner in zip(correlations, partners, strict=True)]
         return self.corr_conv1[2](_weighted(correlations, weights)), [_enlarged(weight) for weight in weights]
 
     def around(
@@ -212,8 +212,8 @@ class RecurrentUnit(nn.Module):
 
     def forward(self, hidden: Tensor, features: Tensor) -> Tensor:
         """Return the next state, as large as the one before."""
-        both = torch.cat([hidden, features], dim=1)
-        update, reset = torch.sigmoid(self.convz(both).float()), torch.sigmoid(self.convr(both).float())
+        inputs = torch.cat([hidden, features], dim=1)
+        update, reset = torch.sigmoid(self.convz(inputs).float()), torch.sigmoid(self.convr(inputs).float())
         proposed = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)).float())
         return (1 - update) * hidden + update * proposed
 
@@ -271,9 +271,9 @@ class Estimator(nn.Module):
         Args:
             slots: features of the cameras, then of each partner, of K pictures each.
         """
-        reference, *others = slots
-        partners = [Partner(each, views.projections[:, m]) for m, each in enumerate(others)]
-        inverse_far, growth, nearest = (each.view(-1, 1, 1, 1) for each in views.ranges.unbind(1))
+        reference, *partner_features = slots
+        partners = [Partner(features, views.projections[:, m]) for m, features in enumerate(partner_features)]
+        inverse_far, growth, nearest = (column.view(-1, 1, 1, 1) for column in views.ranges.unbind(1))
 
         def depth_at(place: Tensor) -> Tensor:
             return 1 / (inverse_far + place * growth)
@@ -287,7 +287,7 @@ class Estimator(nn.Module):
         at_quarter = functional.interpolate(half, scale_factor=0.5, mode="bilinear"), quarter, _enlarged(eighth)
         with_rays = [(partner, partner.rays(quarter.shape[2:], 4)) for partner in partners]
         for _ in range(iterations):
-            depths = depth_at((place + self.offsets).clamp(0, 1)).split([len(each) for each in OFFSETS], dim=1)
+            depths = depth_at((place + self.offsets).clamp(0, 1)).split([len(offsets) for offsets in OFFSETS], dim=1)
             scores = self.evaluation.around(at_quarter, with_rays, weights, depths, nearest)
             hidden = self.update.gru(hidden, torch.cat([place, scores], dim=1))
             place = self.update.place(hidden)
@@ -324,7 +324,7 @@ class IterMvsNetwork(nn.Module):
         Returns:
             Depth and confidence in [0, 1] at the cameras' size, (K, H, W).
         """
-        features = [self.feature_net(each.permute(0, 3, 1, 2).float() / 127.5 - 1) for each in pictures]
+        features = [self.feature_net(picture.permute(0, 3, 1, 2).float() / 127.5 - 1) for picture in pictures]
         slots = [
             [level.index_select(0, members) for level in features[slot if len(features) > 1 else 0]]
             for slot, members in enumerate(views.members.unbind(1))
@@ -349,7 +349,7 @@ def _correlate(reference: Tensor, partner: Partner, level: int, rays: Tensor, de
     hidden = z <= nearest
     z = z.masked_fill(hidden, 1.0)
     extents = [(side - 1) * 2.0**level for side in (features.shape[3], features.shape[2])]  # half pixels
-    places = [(each / z / extent - 1).masked_fill(hidden, 2.0) for each, extent in zip((x, y), extents, strict=True)]
+    places = [(coordinate / z / extent - 1).masked_fill(hidden, 2.0) for coordinate, extent in zip((x, y), extents, strict=True)]
     grid = torch.stack(places, dim=-1).view(count, n * height, width, 2)
     looked_up = functional.grid_sample(features, grid, align_corners=True)
     grouped = looked_up.view(count, GROUPS, -1, n, height, width) * reference.view(count, GROUPS, -1, 1, height, width)

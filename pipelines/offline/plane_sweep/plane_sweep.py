@@ -325,8 +325,8 @@ class PlaneSweepEstimator(Estimator):
         """
         finest = self._levels[-1]
         if finest.blind:
-            nothing = np.zeros(image.shape[:2], np.float32)
-            return DepthMap(nothing, nothing.copy())
+            zeros = np.zeros(image.shape[:2], np.float32)
+            return DepthMap(zeros, zeros.copy())
         prior: Map | None = None
         for level in self._levels[:-1]:
             if not level.blind:  # as it is where what partners see is too small when halved

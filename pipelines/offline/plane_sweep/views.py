@@ -120,14 +120,14 @@ def turn_partner(camera: Camera, partner: Camera, planes: SweepPlanes, radius: i
     positions = turned[..., :2] / z * partner.K[[0, 1], [0, 1]] + partner.K[:2, 2] - 0.5
     inside = (turned[..., 2] > MIN_RAY_Z) & ((positions >= 0) & (positions <= np.array(partner.size) - 1)).all(axis=-1)
     window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * radius + 3, 2 * radius + 3))
-    whole = cv2.erode(inside.astype(np.uint8), window, borderValue=0) > 0
-    if not whole.any():
+    is_inside = cv2.erode(inside.astype(np.uint8), window, borderValue=0) > 0
+    if not is_inside.any():
         return None
-    some = whole.any(axis=1)
+    some = is_inside.any(axis=1)
     return PartnerView(
         positions=positions.astype(np.float32),
-        first=np.where(some, whole.argmax(axis=1), 1).astype(np.float32),
-        last=np.where(some, whole.shape[1] - 1 - whole[:, ::-1].argmax(axis=1), 0).astype(np.float32),
+        first=np.where(some, is_inside.argmax(axis=1), 1).astype(np.float32),
+        last=np.where(some, is_inside.shape[1] - 1 - is_inside[:, ::-1].argmax(axis=1), 0).astype(np.float32),
         start=_pair(0.5 - centre),
         slope=_pair(-focal * towards[:2]),
         along=float(towards[2]),

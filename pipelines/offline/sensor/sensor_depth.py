@@ -84,11 +84,11 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
     grid = SensorGrid.find(depth_in_range)
     pitch = grid.columns.pitch * camera.width / depth.shape[1]  # of the sensor's pixels, in the camera's
     step = max(STEP, float(np.tan(STEEPEST_RAD)) * pitch / camera.focal_px)
-    measured = drop_mixed_pixels(grid.reduce(depth_in_range), step)
-    closed = drop_speckles(close_holes(measured, HOLE_PX, step), SPECKLE_PX, step)
+    reduced = drop_mixed_pixels(grid.reduce(depth_in_range), step)
+    closed = drop_speckles(close_holes(reduced, HOLE_PX, step), SPECKLE_PX, step)
     smooth = smooth_surfaces(closed, SMOOTH, SMOOTH_RADIUS_PX)
     result = close_edges(grid.enlarge(smooth, image, step), image, round(HOLE_PX * pitch))
-    filled = grid.repeat(measured, *camera.size) == 0
+    filled = grid.repeat(reduced, *camera.size) == 0
     trust = np.where(filled, np.float32(FILLED_CONFIDENCE), np.float32(1))
     return DepthMap(result, trust * surface_confidence(result, camera, EDGE_PX * pitch, step))
 

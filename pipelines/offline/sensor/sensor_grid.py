@@ -122,7 +122,7 @@ def close_holes(depth: Map, hole_px: int, step: float) -> Map:
         Depth, (H, W).
     """
     across, across_px = _bridge(depth, hole_px, step)
-    down, down_px = (each.T for each in _bridge(depth.T, hole_px, step))
+    down, down_px = (bridge.T for bridge in _bridge(depth.T, hole_px, step))
     return np.where(depth > 0, depth, np.where(across_px <= down_px, across, down))
 
 

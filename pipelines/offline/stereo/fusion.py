@@ -90,11 +90,11 @@ def fill_background(depth: Map, confidence: Map, filled_confidence: float) -> tu
     """
     if filled_confidence <= 0:
         return depth, confidence
-    known = is_known(depth)
-    depth = np.where(known, depth, np.float32(0))
-    filled = np.where(known, depth, _farther_neighbour(depth))
+    mask = is_known(depth)
+    depth = np.where(mask, depth, np.float32(0))
+    filled = np.where(mask, depth, _farther_neighbour(depth))
     filled = np.where(filled > 0, filled, _farther_neighbour(filled.T).T)
-    return filled, np.where(~known, np.float32(filled_confidence) * (filled > 0), confidence)
+    return filled, np.where(~mask, np.float32(filled_confidence) * (filled > 0), confidence)
 
 
 def _farther_neighbour(depth: Map) -> Map:

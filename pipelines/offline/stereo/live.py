@@ -67,17 +67,17 @@ class SharedPair:
         self._d_min = min(self._pair.d_min, int(np.floor(self._turned.depth_scale.min() / second.far)))
         self._d_max = max(self._pair.d_max, int(np.ceil(self._turned.depth_scale.max() / second.near)))
 
-    def match(self, image: Image8, other: Image8, sides: Sequence[Side]) -> list[Estimate]:
+    def match(self, image: Image8, partner_image: Image8, sides: Sequence[Side]) -> list[Estimate]:
         """Match the pair, for the depth of one or both cameras.
 
         Args:
             image: what the first camera saw, RGB, (H, W, 3).
-            other: what the second camera saw at the same instant.
+            partner_image: what the second camera saw at the same instant.
             sides: left for the depth of the first camera, right for that of the second.
         """
-        left, right = self._pair.warp_left(image), self._pair.warp_right(other)
+        left, right = self._pair.warp_left(image), self._pair.warp_right(partner_image)
         matches = self._matcher.match_sides(left, right, self._d_min, self._d_max, sides)
-        return [self._seen(side, *each) for side, each in zip(sides, matches, strict=True)]
+        return [self._seen(side, *match) for side, match in zip(sides, matches, strict=True)]
 
     def _seen(self, side: Side, disparity: Map, confidence: Map) -> Estimate:
         """Resample canvas depth to the camera."""
@@ -108,7 +108,7 @@ class RigEstimator:
         self.matched = [tuple(names) for names in matched]
         self._cameras = {camera.name: camera for camera in cameras}
         self._matcher, self._error_px = matcher, error_px
-        self._requested = {(name, each) for name, *partners in self.matched for each in partners}
+        self._requested = {(name, partner) for name, *partners in self.matched for partner in partners}
         ordered = sorted({(min(names), max(names)) for names in self._requested})
         small = {camera.name: matcher.small(camera) for camera in cameras}
         self._pairs: dict[tuple[str, str], SharedPair] = {}
@@ -133,10 +133,12 @@ class RigEstimator:
         for (first, second), pair in self._pairs.items():
             views: dict[Side, tuple[str, str]] = {"left": (first, second), "right": (second, first)}
             sides = [side for side, names in views.items() if names in self._requested]
-            for side, each in zip(sides, pair.match(small[first], small[second], sides), strict=True):
-                estimates[views[side]] = each
+            for side, estimate in zip(sides, pair.match(small[first], small[second], sides), strict=True):
+                estimates[views[side]] = estimate
         return [
-            self._fused([estimates[name, each] for each in partners if (name, each) in estimates], images[name], small[name])
+            self._fused(
+                [estimates[name, partner] for partner in partners if (name, partner) in estimates], images[name], small[name]
+            )
             for name, *partners in self.matched
         ]
 
@@ -162,7 +164,7 @@ class LiveEstimator(Estimator):
 
     def __init__(self, camera: Camera, partners: Sequence[Camera], matcher: LiveMatcher, error_px: float) -> None:
         cameras = (camera, *partners)
-        self._names = [each.name for each in cameras]
+        self._names = [view.name for view in cameras]
         self._rig = RigEstimator(cameras, [self._names], matcher, error_px)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
@@ -185,7 +187,7 @@ def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
         return small
     from ggvs_eval.kernels import _stereo
 
-    depth, confidence = (np.ascontiguousarray(each, np.float32) for each in (small.depth, small.confidence))
+    depth, confidence = (np.ascontiguousarray(array, np.float32) for array in (small.depth, small.confidence))
     smooth = np.asarray(cv2.resize(depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.float32)
     small_guide, guide = np.ascontiguousarray(small_image), np.ascontiguousarray(image)
     return DepthMap(*_stereo.enlarge_to_edges(depth, confidence, small_guide, guide, smooth, SAME_SURFACE, get_threads()))

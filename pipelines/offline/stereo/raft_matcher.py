@@ -72,10 +72,12 @@ def refine_disparity(left: Tensor, right: Tensor, disparity: Tensor, window: int
 
     refined, gain = disparity, None
     for _ in range(iterations):
-        matched, there = _at(right, columns - refined), _at(slope, columns - refined)
+        matched, slope_there = _at(right, columns - refined), _at(slope, columns - refined)
         gain = deviation(left) / deviation(matched).clamp_min(1) if gain is None else gain
-        difference, there = left - gain * matched, gain * there
-        mean_slope, mean_difference, product, square = means(there, difference, there * difference, there * there)
+        difference, slope_there = left - gain * matched, gain * slope_there
+        mean_slope, mean_difference, product, square = means(
+            slope_there, difference, slope_there * difference, slope_there * slope_there
+        )
         variance = (square - mean_slope * mean_slope).clamp_min(0)
         step = (mean_slope * mean_difference - product) / (variance + NOISE_SLOPE)
         refined = torch.where(valid, refined + step.clamp(-LARGEST_STEP_PX, LARGEST_STEP_PX), 0.0)
@@ -132,7 +134,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
     Raises:
         WeightsError: absent, damaged, more than tensors inside, or tensors of no configuration of RAFT-Stereo.
     """
-    tensors = read_tensors(path, of=NETWORK)
+    tensors = read_tensors(path, model=NETWORK)
     network = RaftStereo(_configuration(tensors, path))
     load_strict(tensors, network, path, NETWORK)
     return network.eval().to(device)
@@ -191,18 +193,18 @@ class RaftMatcher(StereoMatcher):
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match."""
         if self.dense:
-            found = self.disparity(left, right, d_min, d_max, previous)
-            inside = (found >= max(d_min, 0.5)) & (found <= d_max)
-            return np.where(inside, found, np.float32(0)), inside.astype(np.float32)
+            disparity = self.disparity(left, right, d_min, d_max, previous)
+            inside = (disparity >= max(d_min, 0.5)) & (disparity <= d_max)
+            return np.where(inside, disparity, np.float32(0)), inside.astype(np.float32)
         device = compute_device(self.device)
         with rendering_on(device):
-            whole, of_right = self._disparities(left, right, d_min, d_max, previous, sides=2)
-            gap = left_right_gap(whole, of_right.flip(1))
-            allowed = (self.check_share * whole).clamp_min(self.check_px)
-            inside = (whole >= max(d_min, 0.5)) & (whole <= d_max)
-            kept = torch.where(inside & (gap <= allowed), whole, 0.0)
+            full, of_right = self._disparities(left, right, d_min, d_max, previous, sides=2)
+            gap = left_right_gap(full, of_right.flip(1))
+            allowed = (self.check_share * full).clamp_min(self.check_px)
+            inside = (full >= max(d_min, 0.5)) & (full <= d_max)
+            checked = torch.where(inside & (gap <= allowed), full, 0.0)
             grey = [torch.from_numpy(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)).to(device).float() for image in (left, right)]
-            refined = refine_disparity(grey[0], grey[1], kept, self.refine_window, self.refine_iterations)
+            refined = refine_disparity(grey[0], grey[1], checked, self.refine_window, self.refine_iterations)
             confidence = torch.where(refined > 0, 1 - 0.5 * gap / allowed, 0.0)
             disparity, share = torch.stack([refined, confidence]).cpu().numpy()
         return disparity, share
@@ -253,12 +255,12 @@ class RaftMatcher(StereoMatcher):
             starts = [pool.submit(start, pair, prior) for pair, prior in zip(pairs, (before, None), strict=False)]
             batches = zip(lefts.split(step), rights.split(step), (first, self.iterations), strict=False)
             begun = [starts[k : k + step] for k in range(0, sides, step)]
-            each = map if self.device != "cpu" else pool.map  # a GPU is fed by this thread alone
-            flow = torch.cat(list(each(partial(_flow, network, device), batches, begun)))
+            run_batches = map if self.device != "cpu" else pool.map  # a GPU is fed by this thread alone
+            flow = torch.cat(list(run_batches(partial(_flow, network, device), batches, begun)))
         top, left_margin = ((-side % SIZE_MULTIPLE) // 2 for side in (down, across))
         disparity = -flow[:, :, top : top + down, left_margin : left_margin + across]
-        whole = (disparity if scale == 1 else enlarge(disparity, size, scale))[:, 0]
-        return functional.pad(whole + d_min, (d_min, 0))
+        full = (disparity if scale == 1 else enlarge(disparity, size, scale))[:, 0]
+        return functional.pad(full + d_min, (d_min, 0))
 
     def _start(self, d_max: int, factor: int, pair: tuple[Image8, Image8], previous: Map | None) -> Map:
         """Return the flow that the network starts from, in cells of a padded pair, (H / factor, W / factor), by the CPU."""
@@ -304,7 +306,7 @@ def _flow(network: RaftStereo, device: torch.device, batch: tuple[Tensor, Tensor
     layout = torch.channels_last if device == torch.device("cpu") else torch.contiguous_format  # each the faster one there
     with rendering_on(device):
         features = network.features(left.contiguous(memory_format=layout), right.contiguous(memory_format=layout))
-        initial = torch.from_numpy(np.stack([each.result() for each in starts])[:, None]).to(device)
+        initial = torch.from_numpy(np.stack([start.result() for start in starts])[:, None]).to(device)
         flows, weights = network.walk(*features, iterations, initial)
         return upsample_convex(flows[-1], weights, network.config.factor)
 

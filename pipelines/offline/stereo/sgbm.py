@@ -72,18 +72,18 @@ class SgbmMatcher(StereoMatcher):
         results = [(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)) for _ in sides]
         for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
             fine = self._match_level(small_left, small_right, d_min // 2**level, -(-d_max // 2**level), sides)
-            results = [self._completed(*each, *coarse) for each, coarse in zip(fine, results, strict=True)]
+            results = [self._completed(*result, *coarse) for result, coarse in zip(fine, results, strict=True)]
         return [
-            (np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each
-            for side, each in zip(sides, results, strict=True)
+            (np.fliplr(result[0]), np.fliplr(result[1])) if side == "right" else result
+            for side, result in zip(sides, results, strict=True)
         ]
 
     def _completed(self, fine: Map, fine_confidence: Map, coarse: Map, coarse_confidence: Map) -> tuple[Map, Map]:
         """Disparities of one size, its gaps filled by those of the smaller one."""
-        size, kept = fine.shape[::-1], fine > 0
-        disparity = np.where(kept, fine, 2 * _enlarge(coarse, size))
+        size, mask = fine.shape[::-1], fine > 0
+        disparity = np.where(mask, fine, 2 * _enlarge(coarse, size))
         enlarged = self.coarse_confidence * cv2.resize(coarse_confidence, size, interpolation=cv2.INTER_NEAREST)
-        return disparity, np.where(kept, fine_confidence, enlarged)
+        return disparity, np.where(mask, fine_confidence, enlarged)
 
     def _match_level(self, left: Image8, right: Image8, d_min: int, d_max: int, sides: Sequence[Side]) -> list[tuple[Map, Map]]:
         """Match grey images at one size, the right one in its mirror image; rejects what the other does not confirm."""
@@ -96,8 +96,8 @@ class SgbmMatcher(StereoMatcher):
         """Return the disparities that the right image confirms, refined, and their confidence."""
         gap = left_right_gap(disparity, disparity_right)
         allowed = np.maximum(self.check_px, self.check_share * disparity)
-        kept = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
-        refined = refine_disparity(left, right, kept, self.refine_window, self.refine_iterations)
+        checked = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
+        refined = refine_disparity(left, right, checked, self.refine_window, self.refine_iterations)
         return refined, np.where(refined > 0, 1 - 0.5 * gap / allowed, np.float32(0))
 
     def _disparity(self, left: Image8, right: Image8, d_min: int, d_max: int) -> Map:
