@@ -87,7 +87,9 @@ def _deviating(findings: Sequence[Finding], rig: Finding | None) -> list[Finding
     if rig is not None and rig.verdict == worst(findings) == "unknown":
         return []
     hidden = {rig.measured} if rig is not None and rig.verdict == "unknown" else set()
-    return [each for each in findings if each.subject != RIG and each.verdict != "ok" and each.measured not in hidden]
+    return [
+        finding for finding in findings if finding.subject != RIG and finding.verdict != "ok" and finding.measured not in hidden
+    ]
 
 
 def _alike(findings: Sequence[Finding]) -> list[list[Finding]]:

@@ -182,13 +182,13 @@ def examine(rig: ExaminedRig) -> tuple[Finding, ...]:
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
     """Report why a capture does not open, and findings on its frames if there are some."""
-    found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
+    findings: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))
-        found += examine_frames(ExaminedRig(filmed, record_cameras(filmed, workers)))
+        findings += examine_frames(ExaminedRig(filmed, record_cameras(filmed, workers)))
     except GgvsError:
         pass  # no frames of a rig; the first finding says what is wrong
-    return (*found, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(found)))
+    return (*findings, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(findings)))
 
 
 def _unanswered(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -215,25 +215,25 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
     }
     if capture.units_origin.startswith(GUESS):
         return (_guessed(capture, depth, spacing_m * capture.units_per_metre, values),)
-    measured = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
+    text = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
     if np.isfinite(spacing_m):
         values["spacing_m"] = round(spacing_m, 4)
-        measured += f", neighbours {100 * spacing_m:.0f} cm apart"
+        text += f", neighbours {100 * spacing_m:.0f} cm apart"
     if not SCENE_M[0] < depth_m < SCENE_M[1] or not (np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]):
-        return (Finding(RIG, SIZE_QUESTION, "warn", measured, values, "measure a baseline and give the units (--units)"),)
-    return (Finding(RIG, SIZE_QUESTION, "ok", measured, values),)
+        return (Finding(RIG, SIZE_QUESTION, "warn", text, values, "measure a baseline and give the units (--units)"),)
+    return (Finding(RIG, SIZE_QUESTION, "ok", text, values),)
 
 
 def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
     """Return the finding in world units, for a capture of which nothing is known in metres."""
     near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
-    measured = f"unknown scale; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    text = f"unknown scale; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
     if np.isfinite(spacing):
         values["spacing_units"] = round(spacing, 4)
-        measured += f", neighbours {spacing:.3g} apart"
-    measured += f"; {capture.units_per_metre:.4g} units per metre assumed ({capture.units_origin})"
+        text += f", neighbours {spacing:.3g} apart"
+    text += f"; {capture.units_per_metre:.4g} units per metre assumed ({capture.units_origin})"
     advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
-    return Finding(RIG, SIZE_QUESTION, "warn", measured, values, advice)
+    return Finding(RIG, SIZE_QUESTION, "warn", text, values, advice)
 
 
 # In the order of the table; a check of your own is one line here.
@@ -284,8 +284,8 @@ def open_uncalibrated(path: Path) -> Capture | None:
     if not files:
         return None
     capture = uncalibrated_capture(path, files)
-    used = {os.path.abspath(file.path) for file in files.values()}
-    return replace(capture, notes=(*capture.notes, *unused_note(path, used, capture.notes)))
+    paths = {os.path.abspath(file.path) for file in files.values()}
+    return replace(capture, notes=(*capture.notes, *unused_note(path, paths, capture.notes)))
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:

@@ -71,16 +71,16 @@ def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Find
     gains = camera_gains(len(names), pairs)
     finite = np.isfinite(gains.factors).all(axis=1)
     evaluated = [
-        _evaluate_gain(name, *each) for name, *each in zip(names, gains.factors, gains.half_widths, gains.certain, strict=True)
+        _evaluate_gain(name, *gain) for name, *gain in zip(names, gains.factors, gains.half_widths, gains.certain, strict=True)
     ]
     if not finite.any():
         reason = "too few matches of medium brightness between neighbours"
         return (Finding(RIG, GAIN, "unknown", reason), *evaluated)
     spread, width = np.abs(gains.factors[finite] - 1), float(np.median(gains.half_widths[finite]))
-    measured = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {finite.sum()} cameras"
-    measured += f", known within {100 * width:.1f} %"
+    text = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {finite.sum()} cameras"
+    text += f", known within {100 * width:.1f} %"
     values = {"median_deviation": round(float(np.median(spread)), 4), "largest_deviation": round(float(spread.max()), 4)}
-    return (Finding(RIG, GAIN, "ok", measured, values | {"half_width": round(width, 4)}), *evaluated)
+    return (Finding(RIG, GAIN, "ok", text, values | {"half_width": round(width, 4)}), *evaluated)
 
 
 def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
@@ -107,10 +107,10 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
             sigmas.setdefault((pair.first, pair.second), []).append(sigma)
     solved = np.full((count, 4), np.nan), np.full((count, 4), np.inf)
     if logs:
-        measured = list(logs)
-        differences, errors = (np.array([np.mean(each[pair], axis=0) for pair in measured]) for each in (logs, sigmas))
+        matched = list(logs)
+        differences, errors = (np.array([np.mean(table[pair], axis=0) for pair in matched]) for table in (logs, sigmas))
         for part in range(4):
-            solved[0][:, part], solved[1][:, part] = solve_with_errors(count, measured, differences[:, part], errors[:, part])
+            solved[0][:, part], solved[1][:, part] = solve_with_errors(count, matched, differences[:, part], errors[:, part])
     return Gains(*solved)
 
 
@@ -119,10 +119,10 @@ def surface_error(values: Array, uv: Array) -> Array:
     low, high = uv.min(axis=0), uv.max(axis=0)
     column, row = np.minimum((uv - low) / np.maximum(high - low, 1e-9) * PARTS_PER_SIDE, PARTS_PER_SIDE - 1).astype(int).T
     part = row * PARTS_PER_SIDE + column
-    kept = [number for number in np.unique(part) if (part == number).sum() >= FEWEST_IN_PART]
-    if len(kept) < FEWEST_PARTS:  # all of one surface
+    numbers = [number for number in np.unique(part) if (part == number).sum() >= FEWEST_IN_PART]
+    if len(numbers) < FEWEST_PARTS:  # all of one surface
         return np.asarray(1.4826 * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
-    return median_and_error(np.array([np.median(values[part == number], axis=0) for number in kept]))[1]
+    return median_and_error(np.array([np.median(values[part == number], axis=0) for number in numbers]))[1]
 
 
 def is_usable(colours: Array) -> NDArray[np.bool_]:
@@ -160,12 +160,12 @@ def _evaluate_gain(name: str, factors: Array, half_widths: Array, certain: Array
     if not np.isfinite(factors).all():
         return Finding(name, GAIN, "unknown", "too few matches of medium brightness with any neighbour")
     verdict = graded(float(np.abs(certain - 1).max()), WARN_GAIN, BAD_GAIN)
-    measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, factors, strict=True))
-    measured += f" (+- {100 * float(half_widths.max()):.1f} %)"
+    text = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, factors, strict=True))
+    text += f" (+- {100 * float(half_widths.max()):.1f} %)"
     parts = {"gain": certain, "measured_gain": factors, "half_width": half_widths}
     values = {name: part.round(4).tolist() for name, part in parts.items()}
     advice = "" if verdict == "ok" else "'check --repair' divides its frames by these gains; or use a colour-corrected metric"
-    return Finding(name, GAIN, verdict, measured, values, advice)
+    return Finding(name, GAIN, verdict, text, values, advice)
 
 
 def _evaluate_noise(name: str, sigma: float, median: float) -> Finding:
@@ -193,7 +193,7 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
         parts are written whose interval excludes 1, and none of a camera that the check does not warn of, or whose gain drifts.
     """
     corrections, findings = dict(present), list(findings)
-    drifting = {each.subject for each in findings if each.question == DRIFT and each.verdict in ("warn", "bad")}
+    drifting = {finding.subject for finding in findings if finding.question == DRIFT and finding.verdict in ("warn", "bad")}
     for finding in findings:
         if finding.subject == RIG or finding.verdict not in ("warn", "bad"):
             continue
@@ -224,10 +224,10 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
 
 def describe_repair(before: Iterable[Finding], after: Iterable[Finding]) -> list[str]:
     """Return one line for each offset and gain that a repair changed: what the check said before it, and what it says after."""
-    now = {(finding.subject, finding.question): finding for finding in after}
+    latest = {(finding.subject, finding.question): finding for finding in after}
     return [
-        f"{old.subject} {old.question}: {old.measured} -> {now[old.subject, old.question].measured}"
+        f"{old.subject} {old.question}: {old.measured} -> {latest[old.subject, old.question].measured}"
         for old in before
         if old.subject != RIG and old.verdict in ("warn", "bad") and old.question in (timing.QUESTION, GAIN)
-        if (old.subject, old.question) in now and now[old.subject, old.question].measured != old.measured
+        if (old.subject, old.question) in latest and latest[old.subject, old.question].measured != old.measured
     ]

@@ -48,7 +48,7 @@ def check_drift(
         reason = "fewer than two frames" if len(frames) < 2 else "too few matches of medium brightness between neighbours"
         return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *names))
     levels = [record.levels for record in records]  # logarithms; flicker is what changes from frame to frame and back
-    flicker = np.array([robust_sigma(np.diff(each, 2)) / np.sqrt(6) if len(each) > 2 else np.nan for each in levels])
+    flicker = np.array([robust_sigma(np.diff(level, 2)) / np.sqrt(6) if len(level) > 2 else np.nan for level in levels])
     usual = float(np.nanmedian(flicker)) if np.isfinite(flicker).any() else float("nan")
     evaluated = [
         _evaluate(name, frames, logs[:, index], errors[:, index], float(flicker[index]), usual, fps)
@@ -60,13 +60,13 @@ def check_drift(
             [np.ptp(record.levels[np.isfinite(record.levels)]) for record in records if np.isfinite(record.levels).any()]
         )
     )
-    measured = f"median drift {100 * np.median(drifts):.1f} %, largest {100 * max(drifts):.1f} % against the rig; "
-    measured += f"brightness of all changes by {100 * lamps:.0f} %, {100 * usual:.1f} % from frame to frame"
+    text = f"median drift {100 * np.median(drifts):.1f} %, largest {100 * max(drifts):.1f} % against the rig; "
+    text += f"brightness of all changes by {100 * lamps:.0f} %, {100 * usual:.1f} % from frame to frame"
     values = {"largest_drift": max(drifts), "common_change": round(lamps, 4), "flicker": round(usual, 4)}
     if usual > WARN_FLICKER:
         advice = "lamps or shutters flicker in all cameras: match the shutter to the mains (1/50 or 1/60 s), or use steady lamps"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+        return (Finding(RIG, QUESTION, "warn", text, values, advice), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", text, values), *evaluated)
 
 
 def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair]) -> tuple[list[int], Array, Array]:
@@ -83,26 +83,26 @@ def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair
     colours = [record.colours[np.searchsorted(record.sampled, frames)] for record in records]
     first = [record.instants[0].uv if 0 in record.instants else () for record in records]
     rows = [{tuple(at): row for row, at in enumerate(places)} for places in first]
-    measured, middles, sigmas = [], [], []
+    matched, middles, sigmas = [], [], []
     for pair in pairs:
-        own = [
+        pair_colours = [
             colours[camera][:, [rows[camera][tuple(at)] for at in uv]].astype(np.float64)  # (S, M, 3)
             for camera, uv in ((pair.first, pair.uv_first), (pair.second, pair.uv_second))
         ]
-        usable = is_usable(own[0]) & is_usable(own[1])  # (S, M)
-        ratio = np.where(usable[..., None], np.log(np.maximum(own[0], 1) / np.maximum(own[1], 1)), np.nan)
-        known = usable & usable[:1]
-        if known.sum(axis=1).min() < FEWEST_COLOURS:
+        usable = is_usable(pair_colours[0]) & is_usable(pair_colours[1])  # (S, M)
+        ratio = np.where(usable[..., None], np.log(np.maximum(pair_colours[0], 1) / np.maximum(pair_colours[1], 1)), np.nan)
+        mask = usable & usable[:1]
+        if mask.sum(axis=1).min() < FEWEST_COLOURS:
             continue
         change = brightness_and_casts(ratio - ratio[:1])[:, usable[0]]  # (S, M', 4)
         middle, sigma = median_and_error(change.swapaxes(0, 1))
-        measured.append((pair.first, pair.second))
+        matched.append((pair.first, pair.second))
         middles.append(middle)
         sigmas.append(sigma)
-    for place in range(len(frames) if measured else 0):
+    for place in range(len(frames) if matched else 0):
         for part in range(4):
-            differences, spread = (np.array([each[place, part] for each in every]) for every in (middles, sigmas))
-            logs[place, :, part], errors[place, :, part] = solve_with_errors(count, measured, differences, spread)
+            differences, spread = (np.array([values[place, part] for values in table]) for table in (middles, sigmas))
+            logs[place, :, part], errors[place, :, part] = solve_with_errors(count, matched, differences, spread)
     return frames, logs, errors
 
 
@@ -120,18 +120,18 @@ def _evaluate(name: str, frames: Sequence[int], logs: Array, errors: Array, flic
     if size <= max(WARN_DRIFT, half_width) and not is_odd:
         return Finding(name, QUESTION, "ok", f"{100 * size:.1f} +- {100 * half_width:.1f} %", values)
     if size <= max(WARN_DRIFT, half_width):
-        measured = f"brightness pulses by {100 * flicker:.1f} % from frame to frame, the rig's by {100 * usual:.1f} %"
-        return Finding(name, QUESTION, "warn", measured, values, ADVICE)
+        text = f"brightness pulses by {100 * flicker:.1f} % from frame to frame, the rig's by {100 * usual:.1f} %"
+        return Finding(name, QUESTION, "warn", text, values, ADVICE)
     verdict: Verdict = "bad" if size > BAD_DRIFT else "warn"
     course = series[:, part]
     low, high = int(course.argmin()), int(course.argmax())
     begin, end = min(low, high), max(low, high)
-    done = np.abs(course[begin : end + 1] - course[begin]) / size
-    first, last = begin + int(np.flatnonzero(done <= BEGUN)[-1]), begin + int(np.flatnonzero(done >= DONE)[0])
+    progress = np.abs(course[begin : end + 1] - course[begin]) / size
+    first, last = begin + int(np.flatnonzero(progress <= BEGUN)[-1]), begin + int(np.flatnonzero(progress >= DONE)[0])
     grows = high > low
-    what = ("brighter" if grows else "darker") if part == 0 else f"{'more' if grows else 'less'} {CHANNELS[part - 1]}"
+    direction = ("brighter" if grows else "darker") if part == 0 else f"{'more' if grows else 'less'} {CHANNELS[part - 1]}"
     values |= {"first_frame": frames[min(first, last)], "last_frame": frames[last], "part": ("brightness", *CHANNELS)[part]}
     values["change"] = round(size if grows else -size, 4)
     when = describe_when(values["first_frame"], values["last_frame"], fps)
-    measured = f"{what} by {100 * np.expm1(size):.1f} +- {100 * half_width:.1f} % {when} against the rig"
-    return Finding(name, QUESTION, verdict, measured, values, ADVICE)
+    text = f"{direction} by {100 * np.expm1(size):.1f} +- {100 * half_width:.1f} % {when} against the rig"
+    return Finding(name, QUESTION, verdict, text, values, ADVICE)

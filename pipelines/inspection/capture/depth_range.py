@@ -42,11 +42,11 @@ def check_depth_range(
     ]
     nearest, farthest = min(camera.near for camera in cameras), max(camera.far for camera in cameras)
     values = {"near": round(nearest, 4), "far": round(farthest, 4), "spacing_over_depth": round(ratio, 5)}
-    measured = f"{nearest:.3g} .. {farthest:.3g} units, neighbours {100 * ratio:.1f} % of the depth apart"
+    text = f"{nearest:.3g} .. {farthest:.3g} units, neighbours {100 * ratio:.1f} % of the depth apart"
     if not LEAST_BASELINE < ratio < LARGEST_BASELINE:
         advice = "poses and depth bounds in different units?"
-        return (Finding(RIG, DEPTH_QUESTION, "warn", measured, values, advice), *evaluated)
-    return (Finding(RIG, DEPTH_QUESTION, "ok", measured, values), *evaluated)
+        return (Finding(RIG, DEPTH_QUESTION, "warn", text, values, advice), *evaluated)
+    return (Finding(RIG, DEPTH_QUESTION, "ok", text, values), *evaluated)
 
 
 def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
@@ -65,10 +65,10 @@ def _evaluate_range(camera: Camera, depths: Array, is_doubtful: bool) -> Finding
     low, high = np.percentile(depths, [2, 98])
     values |= {"outside_share": round(outside, 4), "seen_near": round(float(low), 4), "seen_far": round(float(high), 4)}
     verdict: Verdict = "bad" if outside > BAD_OUTSIDE else "warn" if outside > WARN_OUTSIDE else "ok"
-    measured = f"{100 * outside:.0f} % of {len(depths)} points outside {camera.near:.3g} .. {camera.far:.3g}"
-    measured += f", seen {low:.3g} .. {high:.3g}"
+    text = f"{100 * outside:.0f} % of {len(depths)} points outside {camera.near:.3g} .. {camera.far:.3g}"
+    text += f", seen {low:.3g} .. {high:.3g}"
     advice = "" if verdict == "ok" else f"set near and far to about {0.9 * low:.3g} and {1.1 * high:.3g}"
-    return Finding(camera.name, DEPTH_QUESTION, verdict, measured, values, advice)
+    return Finding(camera.name, DEPTH_QUESTION, verdict, text, values, advice)
 
 
 def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tuple[Finding, ...]:
@@ -87,21 +87,19 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
             continue
         is_little = share < LEAST_SHARE
         advice = "add cameras between, or remove it from the test views" if is_little else ""
-        measured = f"{100 * share:.0f} % of the picture seen by {LEAST_VIEWS} of {SOURCES} neighbours"
+        text = f"{100 * share:.0f} % of the picture seen by {LEAST_VIEWS} of {SOURCES} neighbours"
         evaluated.append(
-            Finding(
-                camera.name, OVERLAP_QUESTION, "warn" if is_little else "ok", measured, {"share": round(float(share), 4)}, advice
-            )
+            Finding(camera.name, OVERLAP_QUESTION, "warn" if is_little else "ok", text, {"share": round(float(share), 4)}, advice)
         )
-    measured = (
+    text = (
         f"median {100 * np.median(shares):.0f} %, least {100 * shares.min():.0f} % seen by {LEAST_VIEWS} of {SOURCES} neighbours"
     )
     values = {"median_share": round(float(np.median(shares)), 4)}
     if len(blind) == len(cameras):
         worst = min(blind.values(), key=lambda finding: finding.values["shown_share"])
-        measured = f"no camera can be synthesised from the others; {worst.subject}: {worst.measured}"
-        return (Finding(RIG, OVERLAP_QUESTION, "bad", measured, values, worst.advice), *evaluated)
-    return (Finding(RIG, OVERLAP_QUESTION, "ok", measured, values), *evaluated)
+        text = f"no camera can be synthesised from the others; {worst.subject}: {worst.measured}"
+        return (Finding(RIG, OVERLAP_QUESTION, "bad", text, values, worst.advice), *evaluated)
+    return (Finding(RIG, OVERLAP_QUESTION, "ok", text, values), *evaluated)
 
 
 def _blindness(camera: Camera, cameras: Sequence[Camera], sensed: Collection[str]) -> Finding | None:
@@ -118,13 +116,13 @@ def _blindness(camera: Camera, cameras: Sequence[Camera], sensed: Collection[str
 
 def seen_share(camera: Camera, cameras: Sequence[Camera]) -> float:
     """Share of a grid of pixels and depths (even steps of disparity) that enough of the nearest cameras see; nothing occludes."""
-    others = nearest_cameras(camera, cameras, min(SOURCES, len(cameras) - 1))
+    neighbours = nearest_cameras(camera, cameras, min(SOURCES, len(cameras) - 1))
     columns, rows = ((np.arange(GRID) + 0.5) / GRID * side for side in camera.size)
     uv = np.stack(np.meshgrid(columns, rows), axis=-1)[None]  # (1, G, G, 2)
     depth = 1 / np.linspace(1 / camera.far, 1 / camera.near, DEPTHS)[:, None, None]
     points = camera.unproject(np.broadcast_to(uv, (DEPTHS, GRID, GRID, 2)), np.broadcast_to(depth, (DEPTHS, GRID, GRID)))
     n_views = np.zeros((DEPTHS, GRID, GRID), int)
-    for other in others:
-        at, z = other.project(points)
-        n_views += (z > 0) & (at >= 0).all(axis=-1) & (at <= np.array(other.size)).all(axis=-1)
-    return float((n_views >= min(LEAST_VIEWS, len(others))).mean())
+    for neighbour in neighbours:
+        at, z = neighbour.project(points)
+        n_views += (z > 0) & (at >= 0).all(axis=-1) & (at <= np.array(neighbour.size)).all(axis=-1)
+    return float((n_views >= min(LEAST_VIEWS, len(neighbours))).mean())

@@ -118,7 +118,7 @@ def _finding(agreements: Sequence[Map], width_px: int) -> Finding:
         "down_px": offset[1],
     }
     values = {name: round(float(px) * max(width_px / WIDTH_PX, 1), 3) for name, px in lengths_px.items()}
-    measured = (
+    text = (
         f"depth edges {values['displacement_px']:.2f} +- {values['error_px']:.2f} px off colour, "
         f"single frames {values['frame_px']:.1f} px"
     )
@@ -130,7 +130,7 @@ def _finding(agreements: Sequence[Map], width_px: int) -> Finding:
     elif frame_px > WARN_FRAME_PX:
         verdict = "warn"
         advice = "no common registration corrects it: poses, motion blur or the sensor's delay differ from frame to frame"
-    return Finding(RIG, REGISTRATION_QUESTION, verdict, measured, values, advice)
+    return Finding(RIG, REGISTRATION_QUESTION, verdict, text, values, advice)
 
 
 def _unknown(reason: str) -> Finding:

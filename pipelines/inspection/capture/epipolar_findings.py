@@ -50,31 +50,35 @@ class Repair:
         kind: ``swap``, ``focal`` or ``pose``.
         meaning: what seems to be wrong and what to do.
         error_px: epipolar error that is left with it.
-        other: index of the camera whose pose fits, for a swap.
+        donor: index of the camera whose pose fits, for a swap.
         focal_factor: what to multiply the focal length by, for a focal length.
     """
 
     kind: str
     meaning: str
     error_px: float
-    other: int | None = None
+    donor: int | None = None
     focal_factor: float | None = None
 
 
 def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, trusted: Sequence[int]) -> Repair | None:
     """Return the explanation that suits one camera best, evaluated against trusted cameras; None if none does."""
-    own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
-    own = sorted(own, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]
-    before = camera_error(cameras, own, index)
-    if len(own) < 2:  # one pair constrains a pose too little
+    own_pairs = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
+    own_pairs = sorted(own_pairs, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]
+    before = camera_error(cameras, own_pairs, index)
+    if len(own_pairs) < 2:  # one pair constrains a pose too little
         return None
     candidates = [
-        *_other_poses(cameras, own, index),
+        *_other_poses(cameras, own_pairs, index),
         *(
-            Repair("pose", f"its images fit {name}", camera_error(_exchanged(cameras, index, change(cameras[index])), own, index))
+            Repair(
+                "pose",
+                f"its images fit {name}",
+                camera_error(_exchanged(cameras, index, change(cameras[index])), own_pairs, index),
+            )
             for name, change in POSE_CHANGES.items()
         ),
-        _best_focal([index], cameras, own, lambda changed: camera_error(changed, own, index)),
+        _best_focal([index], cameras, own_pairs, lambda changed: camera_error(changed, own_pairs, index)),
     ]
     return _accepted(candidates, before, tolerances(cameras[index])[0])
 
@@ -112,33 +116,33 @@ def _accepted(candidates: Sequence[Repair], before: float, tolerance_px: float) 
     return best
 
 
-def _other_poses(cameras: Sequence[Camera], own: Sequence[MatchedPair], index: int) -> Iterator[Repair]:
+def _other_poses(cameras: Sequence[Camera], own_pairs: Sequence[MatchedPair], index: int) -> Iterator[Repair]:
     """Yield the pose of each other camera in place of this one's."""
-    for other, camera in enumerate(cameras):
-        kept = [pair for pair in own if pair.seen_from(index)[0] != other]
-        if other != index and len(kept) >= 2:
+    for donor, camera in enumerate(cameras):
+        pairs_left = [pair for pair in own_pairs if pair.seen_from(index)[0] != donor]
+        if donor != index and len(pairs_left) >= 2:
             moved = replace(cameras[index], world_to_camera=camera.world_to_camera)
             meaning = f"its images fit the pose of {camera.name}"
-            yield Repair("swap", meaning, camera_error(_exchanged(cameras, index, moved), kept, index), other=other)
+            yield Repair("swap", meaning, camera_error(_exchanged(cameras, index, moved), pairs_left, index), donor=donor)
 
 
 def _best_focal(
-    which: Sequence[int], cameras: Sequence[Camera], pairs: Sequence[MatchedPair], measure: Callable[[list[Camera]], float]
+    indices: Sequence[int], cameras: Sequence[Camera], pairs: Sequence[MatchedPair], measure: Callable[[list[Camera]], float]
 ) -> Repair:
     """Return the focal factor, common to some cameras, with the least error; searched coarsely, then finely."""
 
     def error_px(factor: float) -> float:
-        return measure([with_focal(camera, factor) if place in which else camera for place, camera in enumerate(cameras)])
+        return measure([with_focal(camera, factor) if place in indices else camera for place, camera in enumerate(cameras)])
 
     coarse = min(FOCAL_FACTORS, key=error_px)
     factor = float(min(coarse + FINE_STEPS, key=error_px))
-    length = cameras[which[0]].focal_px
+    length = cameras[indices[0]].focal_px
     meaning = f"a focal length of {factor * length:.1f} px instead of {length:.1f} (x {factor:.3f}) fits the matches"
     return Repair("focal", meaning, error_px(factor), focal_factor=round(factor, 4))
 
 
 def _exchanged(cameras: Sequence[Camera], index: int, camera: Camera) -> list[Camera]:
-    return [camera if place == index else given for place, given in enumerate(cameras)]
+    return [camera if place == index else original for place, original in enumerate(cameras)]
 
 
 def _turned(*signs: float) -> Change:
@@ -152,9 +156,9 @@ def _reflected_centre(*signs: float) -> Change:
     return lambda camera: _posed(camera, camera.rotation, np.array(signs) * camera.centre)
 
 
-def _reflected_world(axis: int, own: int = 0) -> Change:
+def _reflected_world(axis: int, reversed_axis: int = 0) -> Change:
     """Pose mirrored along a world axis; one of the camera's own axes is reversed too, so that it stays a rotation."""
-    mirror, reversed_ = (np.diag(np.where(np.arange(3) == each, -1.0, 1.0)) for each in (axis, own))
+    mirror, reversed_ = (np.diag(np.where(np.arange(3) == number, -1.0, 1.0)) for number in (axis, reversed_axis))
     return lambda camera: _posed(camera, reversed_ @ camera.rotation @ mirror, mirror @ camera.centre)
 
 
@@ -174,10 +178,10 @@ POSE_CHANGES: dict[str, Change] = {
     "a centre mirrored in the origin (sign of the translation?)": _reflected_centre(-1.0, -1.0, -1.0),
     **{f"a pose mirrored in {word}": _reflected_world(axis) for axis, word in enumerate("xyz")},
     **{
-        f"a pose mirrored in {word}, its own {own} axis too (left-handed axes used as right-handed?)": _reflected_world(
+        f"a pose mirrored in {word}, its own {letter} axis too (left-handed axes used as right-handed?)": _reflected_world(
             axis, place
         )
-        for own, place in (("y", 1), ("z", 2))
+        for letter, place in (("y", 1), ("z", 2))
         for axis, word in enumerate("xyz")
     },
     "the inverse pose (camera-to-world used as world-to-camera?)": lambda camera: replace(
@@ -235,24 +239,24 @@ def check_clip(cameras: Sequence[Camera], instants: Mapping[int, Sequence[Featur
     pairs, at = neighbour_pairs(cameras), {}
     for frame, features in instants.items():
         at[frame] = check_epipolar(cameras, features, match_pairs(cameras, features, pairs))
-    known = {frame: verdict for frame, verdict in at.items() if verdict.findings[0].verdict != "unknown"} or at
+    answers = {frame: verdict for frame, verdict in at.items() if verdict.findings[0].verdict != "unknown"} or at
     findings = tuple(
         _worst_instant(dict(zip(at, group, strict=True))) for group in zip(*(v.findings for v in at.values()), strict=True)
     )
-    trusted = [index for index in range(len(cameras)) if all(index in verdict.trusted for verdict in known.values())]
-    suspects = [index for index in range(len(cameras)) if all(index in verdict.suspects for verdict in known.values())]
+    trusted = [index for index in range(len(cameras)) if all(index in verdict.trusted for verdict in answers.values())]
+    suspects = [index for index in range(len(cameras)) if all(index in verdict.suspects for verdict in answers.values())]
     return ClipVerdict(findings, at, tuple(trusted), tuple(suspects))
 
 
 def _worst_instant(findings: Mapping[int, Finding]) -> Finding:
     """Return the answer of the instant at which it is worst; of the first one that has an answer where all are alike."""
-    known = {frame: finding for frame, finding in findings.items() if finding.verdict != "unknown"} or dict(findings)
-    worst = max(known, key=lambda frame: SEVERITY[known[frame].verdict])
-    first = next(iter(known))
+    answers = {frame: finding for frame, finding in findings.items() if finding.verdict != "unknown"} or dict(findings)
+    worst = max(answers, key=lambda frame: SEVERITY[answers[frame].verdict])
+    first = next(iter(answers))
     if worst == first:
-        return known[first]
-    measured = f"{known[worst].measured} at frame {worst}; {known[first].measured} at frame {first}"
-    return replace(known[worst], measured=measured, values={**known[worst].values, "frame": worst})
+        return answers[first]
+    text = f"{answers[worst].measured} at frame {worst}; {answers[first].measured} at frame {first}"
+    return replace(answers[worst], measured=text, values={**answers[worst].values, "frame": worst})
 
 
 def check_epipolar(
@@ -276,7 +280,7 @@ def check_epipolar(
     # Suspects are compared with trusted cameras all over the rig: of two exchanged ones each sees what the other's neighbours do.
     matched_pairs = {(pair.first, pair.second) for pair in pairs}
     evaluates, tried = trusted[:: len(trusted) // MOST_JUDGES + 1], suspects[:MOST_EXPLAINED]
-    missing_pairs = {(min(index, other), max(index, other)) for index in tried for other in evaluates} - matched_pairs
+    missing_pairs = {(min(index, judge), max(index, judge)) for index in tried for judge in evaluates} - matched_pairs
     added = match_pairs(cameras, features, sorted(missing_pairs))
     pairs = [*pairs, *(pair for pair in added if has_parallax(cameras[pair.first], cameras[pair.second]))]
     repairs = dict.fromkeys(suspects) | {index: explain_camera(cameras, pairs, index, trusted) for index in tried}
@@ -295,37 +299,37 @@ def _evaluate(
 ) -> Finding:
     """Return one camera against the trusted ones."""
     name = cameras[index].name
-    own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
-    if not own:
+    own_pairs = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
+    if not own_pairs:
         reason = "no readable frame" if features[index] is None else "too few matches with any neighbour"
         return Finding(name, QUESTION, "unknown", reason, {}, "inspect this camera's picture and pose")
-    error_px = camera_error(cameras, own, index)
+    error_px = camera_error(cameras, own_pairs, index)
     values: dict[str, Any] = {
         "error_px": _finite(error_px),
-        "n_pairs": len(own),
-        "n_matches": sum(len(pair.uv_first) for pair in own),
+        "n_pairs": len(own_pairs),
+        "n_matches": sum(len(pair.uv_first) for pair in own_pairs),
     }
-    shown = f"{error_px:.2f} px" if np.isfinite(error_px) else "matches are behind the camera"
-    repair, verdict = repairs.get(index), graded(camera_error(cameras, own, index, SIGMAS), *tolerances(cameras[index]))
+    error_text = f"{error_px:.2f} px" if np.isfinite(error_px) else "matches are behind the camera"
+    repair, verdict = repairs.get(index), graded(camera_error(cameras, own_pairs, index, SIGMAS), *tolerances(cameras[index]))
     if index not in repairs:
-        return Finding(name, QUESTION, verdict, shown, values, "" if verdict == "ok" else RECALIBRATE)
-    measured = f"{shown} with {len(own)} cameras that agree among themselves"
+        return Finding(name, QUESTION, verdict, error_text, values, "" if verdict == "ok" else RECALIBRATE)
+    text = f"{error_text} with {len(own_pairs)} cameras that agree among themselves"
     if repair is None:
-        return Finding(name, QUESTION, verdict, measured, values, RECALIBRATE)
+        return Finding(name, QUESTION, verdict, text, values, RECALIBRATE)
     values |= {"repair": repair.kind, "error_after_px": round(repair.error_px, 3), "focal_factor": repair.focal_factor}
-    if repair.other is not None:
-        values["fits_pose_of"] = cameras[repair.other].name
-    measured = f"{shown}; {repair.meaning}: {repair.error_px:.2f} px"
-    return Finding(name, QUESTION, verdict, measured, values, _advice(cameras, index, repair, repairs))
+    if repair.donor is not None:
+        values["fits_pose_of"] = cameras[repair.donor].name
+    text = f"{error_text}; {repair.meaning}: {repair.error_px:.2f} px"
+    return Finding(name, QUESTION, verdict, text, values, _advice(cameras, index, repair, repairs))
 
 
 def _advice(cameras: Sequence[Camera], index: int, repair: Repair, repairs: dict[int, Repair | None]) -> str:
-    if repair.other is not None:
-        back = repairs.get(repair.other)
-        other = cameras[repair.other].name
-        if back is not None and back.other == index:
-            return f"exchange the frames of {cameras[index].name} and {other}, or their poses"
-        return f"give it the pose of {other}"
+    if repair.donor is not None:
+        back = repairs.get(repair.donor)
+        name = cameras[repair.donor].name
+        if back is not None and back.donor == index:
+            return f"exchange the frames of {cameras[index].name} and {name}, or their poses"
+        return f"give it the pose of {name}"
     if repair.focal_factor is not None:
         return f"multiply its focal length by {repair.focal_factor:.3f}, or calibrate again"
     return "correct the pose as named, or calibrate again"
@@ -337,8 +341,8 @@ def _rig_finding(cameras: Sequence[Camera], errors: Sequence[PairError], suspect
     medians = [error.median_px for error in sound]
     odd = [f"{cameras[error.first].name} - {cameras[error.second].name}" for error in sound if is_wrong(cameras, error)]
     values = {"median_px": _finite(float(np.median(medians))), "n_pairs": len(sound), "odd_pairs": odd}
-    measured = f"median {np.median(medians):.2f} px over {len(sound)} pairs, {sum(error.n_matches for error in sound)} matches"
-    return Finding(RIG, QUESTION, "ok", measured + (f"; odd: {', '.join(odd[:4])}" if odd else ""), values)
+    text = f"median {np.median(medians):.2f} px over {len(sound)} pairs, {sum(error.n_matches for error in sound)} matches"
+    return Finding(RIG, QUESTION, "ok", text + (f"; odd: {', '.join(odd[:4])}" if odd else ""), values)
 
 
 def _doubtful_rig(
@@ -350,7 +354,7 @@ def _doubtful_rig(
         unknown = [Finding(camera.name, QUESTION, "unknown", reason) for camera in cameras]
         rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare pictures and poses manually")
         return CalibrationVerdict((rig, *unknown), tuple(pairs), (), ())
-    each = [camera_error(cameras, pairs, index) for index in range(len(cameras))]
+    errors_px = [camera_error(cameras, pairs, index) for index in range(len(cameras))]
     certain = [camera_error(cameras, pairs, index, SIGMAS) for index in range(len(cameras))]
     verdicts = [graded(error, *tolerances(camera)) for error, camera in zip(certain, cameras, strict=True)]
     # Half of the pairs of a rig hardly notice a common focal length, so their medians understate it.
@@ -358,22 +362,22 @@ def _doubtful_rig(
     verdict: Verdict = "bad" if is_gross or "bad" in verdicts else "warn"
     median_px = float(np.median([error.median_px for error in errors]))
     values: dict[str, Any] = {"median_px": _finite(median_px), "n_pairs": len(errors)}
-    measured = f"median {median_px:.1f} px over {len(errors)} pairs"
+    text = f"median {median_px:.1f} px over {len(errors)} pairs"
     if repair is None:
-        measured, advice = (
-            f"{measured}; no camera agrees with most others",
+        text, advice = (
+            f"{text}; no camera agrees with most others",
             f"{REFINE}; else check that poses and frames match, or calibrate without poses",
         )
     else:
-        measured, advice = f"{measured}; {repair.meaning}: {repair.error_px:.2f} px", "correct all cameras as named"
+        text, advice = f"{text}; {repair.meaning}: {repair.error_px:.2f} px", "correct all cameras as named"
         values |= {"repair": repair.kind, "focal_factor": repair.focal_factor}
     reason = "no neighbour is reliable"
     unknown = [
         Finding(camera.name, QUESTION, "unknown", reason, {"error_px": _finite(error)})
-        for camera, error in zip(cameras, each, strict=True)
+        for camera, error in zip(cameras, errors_px, strict=True)
     ]
     suspects = tuple(range(len(cameras))) if verdict == "bad" else ()
-    return CalibrationVerdict((Finding(RIG, QUESTION, verdict, measured, values, advice), *unknown), tuple(pairs), (), suspects)
+    return CalibrationVerdict((Finding(RIG, QUESTION, verdict, text, values, advice), *unknown), tuple(pairs), (), suspects)
 
 
 def _finite(value: float) -> float | None:

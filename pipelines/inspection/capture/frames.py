@@ -32,37 +32,37 @@ TO_SDR = (
 def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
     """Return the counts, sizes, rate, frames that cannot be read, and frames without light."""
     sizes = sorted({camera.size for camera in capture.cameras})
-    shown = ", ".join(f"{width} x {height}" for width, height in sizes)
+    sizes_text = ", ".join(f"{width} x {height}" for width, height in sizes)
     rate = f"{capture.fps:g} fps" if capture.fps else "one instant"
-    measured = f"{len(capture.cameras)} cameras, {capture.n_frames} frame{'s' * (capture.n_frames > 1)} of {shown}, {rate}"
+    text = f"{len(capture.cameras)} cameras, {capture.n_frames} frame{'s' * (capture.n_frames > 1)} of {sizes_text}, {rate}"
     values = {"layout": capture.layout, "n_cameras": len(capture.cameras), "n_frames": capture.n_frames, "fps": capture.fps}
     values |= {"sizes": [list(size) for size in sizes], "notes": list(capture.notes)}
-    measured += "".join(f"; {note}" for note in capture.notes)
+    text += "".join(f"; {note}" for note in capture.notes)
     outside = frames_outside(capture)
     if outside:
         values["outside"] = {name: str(path) for name, path in outside.items()}
         name, path = next(iter(outside.items()))
         more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
-        measured += f"; frames of {name}{more} are outside the capture's folder, in {path}"
+        text += f"; frames of {name}{more} are outside the capture's folder, in {path}"
     advice = ["check that these files are intended; moving the capture breaks the links"] if outside else []
     inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
     if hdr := {name: video.transfer for name, video in inner.items() if isinstance(video, VideoFrames) and video.transfer}:
         values["transfer"] = hdr
-        measured += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
-        measured += " (high dynamic range), not those of a display, which metrics need"
+        text += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
+        text += " (high dynamic range), not those of a display, which metrics need"
         advice.append(f"convert these videos: {TO_SDR}")
     if woven := [name for name, video in inner.items() if isinstance(video, VideoFrames) and video.interlaced]:
         values["interlaced"] = woven
         advice.append(f"part the fields of each of these videos: {DEINTERLACE}")
-    profiles = {name: each.profiles if isinstance(each, ImageFrames) else () for name, each in inner.items()}
+    profiles = {name: source.profiles if isinstance(source, ImageFrames) else () for name, source in inner.items()}
     if len(set(profiles.values())) > 1:
-        values["profiles"] = {name: list(each) for name, each in profiles.items()}
-        measured += "; colour profiles differ: " + ", ".join(
-            f"{name} {' '.join(each) or 'sRGB'}" for name, each in profiles.items()
+        values["profiles"] = {name: list(profile) for name, profile in profiles.items()}
+        text += "; colour profiles differ: " + ", ".join(
+            f"{name} {' '.join(profile) or 'sRGB'}" for name, profile in profiles.items()
         )
         advice.append("convert the pictures to sRGB (magick mogrify -profile sRGB.icc FILES); a gain cannot correct a profile")
     return (
-        Finding(RIG, FRAMES, "warn" if advice else "ok", measured, values, "; ".join(advice)),
+        Finding(RIG, FRAMES, "warn" if advice else "ok", text, values, "; ".join(advice)),
         *(_evaluate_damage(record, capture.n_frames) for record in records),
     )
 
@@ -97,11 +97,11 @@ def check_frozen(records: Sequence[CameraRecord], fps: float) -> tuple[Finding, 
         for record, row in zip(records, frozen, strict=True)
     ]
     if common.any():
-        measured = f"frames {_listed(list(map(int, np.flatnonzero(common))))} repeat the one before in all cameras"
+        text = f"frames {_listed(list(map(int, np.flatnonzero(common))))} repeat the one before in all cameras"
         advice = "a converted frame rate? use the original videos"
-        return (Finding(RIG, FROZEN, "warn", measured, {"frames": np.flatnonzero(common).tolist()}, advice), *evaluated)
-    measured = "none" if not frozen.any() else f"{int(frozen.sum())} in {int(frozen.any(axis=1).sum())} cameras"
-    return (Finding(RIG, FROZEN, "ok", measured, {"n_frozen": int(frozen.sum())}), *evaluated)
+        return (Finding(RIG, FROZEN, "warn", text, {"frames": np.flatnonzero(common).tolist()}, advice), *evaluated)
+    text = "none" if not frozen.any() else f"{int(frozen.sum())} in {int(frozen.any(axis=1).sum())} cameras"
+    return (Finding(RIG, FROZEN, "ok", text, {"n_frozen": int(frozen.sum())}), *evaluated)
 
 
 def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -131,10 +131,10 @@ def _relative(change: NDArray[np.float32]) -> NDArray[np.float64]:
 
 def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float64]:
     """Return the median over the other cameras, (T,); NaN, which is above nothing, where none of them is known."""
-    others = np.delete(share, index, axis=0)
-    finite = np.isfinite(others).any(axis=0)
+    other_shares = np.delete(share, index, axis=0)
+    finite = np.isfinite(other_shares).any(axis=0)
     middle = np.full(share.shape[1], np.nan)
-    middle[finite] = np.nanmedian(others[:, finite], axis=0)
+    middle[finite] = np.nanmedian(other_shares[:, finite], axis=0)
     return middle
 
 
@@ -148,25 +148,21 @@ def _evaluate_damage(record: CameraRecord, n_frames: int) -> Finding:
     if not record.damage:
         return Finding(record.name, FRAMES, "ok", f"{record.n_read} frames read", values)
     first = record.damage[0]
-    measured = f"frame {first.frame} cannot be read, {n_frames - record.n_read} of {n_frames} missing: {first.message}"
-    return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or drop this camera")
+    text = f"frame {first.frame} cannot be read, {n_frames - record.n_read} of {n_frames} missing: {first.message}"
+    return Finding(record.name, FRAMES, "bad", text, values, "restore the file, or drop this camera")
 
 
 def _evaluate_frozen(name: str, frames: list[int], n_frames: int, fps: float) -> Finding:
     values: dict[str, Any] = {"frames": frames}
     if not frames:
         return Finding(name, FROZEN, "ok", "none", values)
-    measured = (
-        f"frames {_listed(frames)} repeat the one before" if len(frames) > 1 else f"frame {frames[0]} repeats the one before"
-    )
+    text = f"frames {_listed(frames)} repeat the one before" if len(frames) > 1 else f"frame {frames[0]} repeats the one before"
     if (period := repeat_period(frames, n_frames)) and fps:
         values["recorded_fps"] = fps * (1 - 1 / period)
         stored = f"recorded at {values['recorded_fps']:.4g} frames per second, it seems, and stored as {fps:.4g}"
         advice = f"give the original video, or leave the repeats out: ffmpeg -i IN -vf decimate=cycle={period} {ENCODED}"
-        return Finding(name, FROZEN, "bad", f"{stored}: {measured}", values, advice)
-    return Finding(
-        name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", measured, values, "copy or convert this video again"
-    )
+        return Finding(name, FROZEN, "bad", f"{stored}: {text}", values, advice)
+    return Finding(name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", text, values, "copy or convert this video again")
 
 
 def repeat_period(frames: Sequence[int], n_frames: int) -> int | None:

@@ -22,17 +22,17 @@ def check_lens(capture: Capture) -> tuple[Finding, ...]:
     options, odd = record.get("options", {}), record.get("odd_lenses")
     if not options.get("shared_intrinsics") or options.get("known_poses") or options.get("known_intrinsics") or odd is None:
         return (Finding(RIG, QUESTION, "ok", "no lens was shared by 'calibrate'"),)
-    own = ", ".join(options.get("own_lens", ()))
-    measured = f"one for all cameras except {own}" if own else "one for all cameras"
-    lenses = {name: OddLens(**each) for name, each in odd.items() if name in capture.camera_names}
+    own_lens = ", ".join(options.get("own_lens", ()))
+    text = f"one for all cameras except {own_lens}" if own_lens else "one for all cameras"
+    lenses = {name: OddLens(**values) for name, values in odd.items() if name in capture.camera_names}
     findings = [
         Finding(
             name, QUESTION, "bad", lens.describe(), dict(odd[name]), f"another zoom? calibrate again with {own_lens_option(odd)}"
         )
         for name, lens in lenses.items()
     ]
-    shared = [Finding(name, QUESTION, "ok", measured) for name in capture.camera_names if name not in lenses]
-    tested = measured if own else f"{measured}; {len(lenses)} disagree"
+    shared = [Finding(name, QUESTION, "ok", text) for name in capture.camera_names if name not in lenses]
+    tested = text if own_lens else f"{text}; {len(lenses)} disagree"
     return (Finding(RIG, QUESTION, "ok", tested, {"n_odd": len(lenses)}), *findings, *shared)
 
 

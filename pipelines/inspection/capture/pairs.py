@@ -35,9 +35,9 @@ def match_pairs(
     """Match the frames of each pair of cameras; pairs that share too little are left out."""
     matches = []
     for i, j in track(list(pairs), "matching neighbours"):
-        one, other = features[i], features[j]
-        if one is not None and other is not None:
-            matches.append(match_pair(i, j, one, other, max(*cameras[i].size, *cameras[j].size)))
+        first, second = features[i], features[j]
+        if first is not None and second is not None:
+            matches.append(match_pair(i, j, first, second, max(*cameras[i].size, *cameras[j].size)))
     return [pair for pair in matches if pair is not None]
 
 
@@ -58,15 +58,15 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
     """
     values = np.full(count, np.nan)
     group = largest_group(count, pairs)
-    kept = [row for row, (i, j) in enumerate(pairs) if i in group]
-    if not kept:
+    pair_rows = [row for row, (i, j) in enumerate(pairs) if i in group]
+    if not pair_rows:
         return values
     position = {camera: column for column, camera in enumerate(group)}
-    rows = np.zeros((len(kept), len(group)))
-    for row, pair in enumerate(kept):
+    rows = np.zeros((len(pair_rows), len(group)))
+    for row, pair in enumerate(pair_rows):
         i, j = pairs[pair]
         rows[row, position[i]], rows[row, position[j]] = 1.0, -1.0
-    values[group] = _least_absolute(rows, differences[kept], weights[kept])
+    values[group] = _least_absolute(rows, differences[pair_rows], weights[pair_rows])
     return values - np.nanmedian(values)
 
 
@@ -81,19 +81,19 @@ def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences:
         differences' own errors allow, in the whole rig or among a camera's own pairs, its error grows by as much.
     """
     values, errors = solve_differences(count, pairs, differences, 1 / sigmas), np.full(count, np.inf)
-    kept = [row for row, (i, _) in enumerate(pairs) if np.isfinite(values[i])]
-    if not kept:
+    pair_rows = [row for row, (i, _) in enumerate(pairs) if np.isfinite(values[i])]
+    if not pair_rows:
         return values, errors
     group = np.flatnonzero(np.isfinite(values))
-    first, second = np.array([pairs[row] for row in kept]).T
+    first, second = np.array([pairs[row] for row in pair_rows]).T
     rows = (first[:, None] == group).astype(float) - (second[:, None] == group)
-    inverse = np.linalg.pinv(rows.T @ (rows / sigmas[kept, None] ** 2), hermitian=True)
-    strain = np.abs(values[first] - values[second] - differences[kept]) / sigmas[kept]
-    freedom = max(len(kept) - len(group) + 1, 1)
-    common = 1.4826 * float(np.median(strain)) * np.sqrt(len(kept) / freedom)
+    inverse = np.linalg.pinv(rows.T @ (rows / sigmas[pair_rows, None] ** 2), hermitian=True)
+    strain = np.abs(values[first] - values[second] - differences[pair_rows]) / sigmas[pair_rows]
+    freedom = max(len(pair_rows) - len(group) + 1, 1)
+    common = 1.4826 * float(np.median(strain)) * np.sqrt(len(pair_rows) / freedom)
     for place, camera in enumerate(group):
-        own = 1.4826 * float(np.median(strain[(first == camera) | (second == camera)]))
-        errors[camera] = np.sqrt(max(inverse[place, place], 0.0)) * max(1.0, common, own)
+        camera_strain = 1.4826 * float(np.median(strain[(first == camera) | (second == camera)]))
+        errors[camera] = np.sqrt(max(inverse[place, place], 0.0)) * max(1.0, common, camera_strain)
     return values, errors
 
 
@@ -136,21 +136,21 @@ class PairError:
     front_share: float
 
 
-def has_parallax(one: Camera, other: Camera) -> bool:
+def has_parallax(first: Camera, second: Camera) -> bool:
     """Return whether two cameras are far enough apart for meaningful epipolar lines."""
-    depth = min(np.sqrt(camera.near * camera.far) for camera in (one, other))
-    return float(np.linalg.norm(one.centre - other.centre)) > LEAST_BASELINE * depth
+    depth = min(np.sqrt(camera.near * camera.far) for camera in (first, second))
+    return float(np.linalg.norm(first.centre - second.centre)) > LEAST_BASELINE * depth
 
 
 def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
     """Measure one pair under the given calibration."""
-    one, other = cameras[pair.first], cameras[pair.second]
-    if np.linalg.norm(one.centre - other.centre) < 1e-9:
+    first, second = cameras[pair.first], cameras[pair.second]
+    if np.linalg.norm(first.centre - second.centre) < 1e-9:
         return PairError(pair.first, pair.second, len(pair.uv_first), float("inf"), 0.0, 0.0)
-    errors = epipolar_errors(one, other, pair.uv_first, pair.uv_second)
-    depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
+    errors = epipolar_errors(first, second, pair.uv_first, pair.uv_second)
+    depth_first, depth_second, angle_rad = ray_depths(first, second, pair.uv_first, pair.uv_second)
     telling = angle_rad > SMALLEST_ANGLE_RAD
-    front = float(((depth_one > 0) & (depth_other > 0))[telling].mean()) if telling.any() else 1.0
+    front = float(((depth_first > 0) & (depth_second > 0))[telling].mean()) if telling.any() else 1.0
     median = float(np.median(errors))
     error = 1.2533 * 1.4826 * float(np.median(np.abs(errors - median))) / np.sqrt(len(errors))
     return PairError(pair.first, pair.second, len(errors), median, error, front)
@@ -171,11 +171,13 @@ def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]
     wrong = {error: is_wrong(cameras, error) for error in errors}
     left, suspects = list(errors), []
     while left:
-        own: dict[int, list[PairError]] = {}
+        by_camera: dict[int, list[PairError]] = {}
         for error in left:
-            own.setdefault(error.first, []).append(error)
-            own.setdefault(error.second, []).append(error)
-        shares = {index: _wrong_share([error for error in mine if wrong[error]], len(mine)) for index, mine in own.items()}
+            by_camera.setdefault(error.first, []).append(error)
+            by_camera.setdefault(error.second, []).append(error)
+        shares = {
+            index: _wrong_share([error for error in group if wrong[error]], len(group)) for index, group in by_camera.items()
+        }
         camera = max(shares, key=lambda index: (shares[index], -index))
         if shares[camera][0] <= 0.5:
             break

@@ -39,14 +39,14 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     away = away_angles(cameras, target)
     rolls = roll_angles(cameras)
     doubles = [
-        [other for other in others if index in doubtful or other not in doubtful]
-        for index, others in enumerate(same_places(cameras))
+        [double for double in candidates if index in doubtful or double not in doubtful]
+        for index, candidates in enumerate(same_places(cameras))
     ]
     n_outside = int(sum(angle > half_view_rad(camera) for angle, camera in zip(away, cameras, strict=True)))
     # Without a common region no camera looks away from it.
     away_known = away if n_outside <= len(cameras) / 3 else np.zeros(len(cameras))
     evaluated = [
-        _evaluate_pose(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
+        _evaluate_pose(camera, float(away_known[index]), float(rolls[index]), [cameras[double].name for double in doubles[index]])
         for index, camera in enumerate(cameras)
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else target.round(4).tolist()}
@@ -56,9 +56,9 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
         else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
     )
     if n_outside > len(cameras) / 3:
-        measured = f"no common region: {n_outside} of {len(cameras)} cameras do not see the common point"
+        text = f"no common region: {n_outside} of {len(cameras)} cameras do not see the common point"
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
-        return (Finding(RIG, POSES_QUESTION, "warn", measured, values, advice), *evaluated)
+        return (Finding(RIG, POSES_QUESTION, "warn", text, values, advice), *evaluated)
     return (Finding(RIG, POSES_QUESTION, "ok", f"{len(cameras)} cameras {gaze}, right-handed", values), *evaluated)
 
 
@@ -101,9 +101,9 @@ def roll_angles(cameras: Sequence[Camera]) -> Array:
     """
     axes, downs = (np.stack([camera.rotation[row] for camera in cameras]) for row in (2, 1))
     common = _median_direction(downs)
-    shown = common - axes * (axes @ common)[:, None]  # the common down in each picture
-    length = np.linalg.norm(shown, axis=1)
-    cosines = (shown * downs).sum(axis=1) / np.maximum(length, 1e-12)
+    down_in_picture = common - axes * (axes @ common)[:, None]  # the common down in each picture
+    length = np.linalg.norm(down_in_picture, axis=1)
+    cosines = (down_in_picture * downs).sum(axis=1) / np.maximum(length, 1e-12)
     return np.where(length > 0.2, np.arccos(np.clip(cosines, -1, 1)), 0.0)
 
 
@@ -111,9 +111,9 @@ def same_places(cameras: Sequence[Camera]) -> list[list[int]]:
     """For each camera the others at the same place."""
     centres = np.stack([camera.centre for camera in cameras])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    same = distances <= SAME_PLACE_SHARE * rig_extent(cameras)
-    np.fill_diagonal(same, False)
-    return [list(np.flatnonzero(row)) for row in same]
+    is_same_place = distances <= SAME_PLACE_SHARE * rig_extent(cameras)
+    np.fill_diagonal(is_same_place, False)
+    return [list(np.flatnonzero(row)) for row in is_same_place]
 
 
 def rig_extent(cameras: Sequence[Camera]) -> float:
@@ -133,23 +133,23 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
     away, roll = f"{np.degrees(away_rad):.0f} deg", f"{np.degrees(roll_rad):.0f} deg"
     verdict: Verdict = "warn"
     if doubles:
-        verdict, measured = "bad", f"same place as {', '.join(doubles)}"
+        verdict, text = "bad", f"same place as {', '.join(doubles)}"
         advice = "one pose was written twice; restore this camera's own or drop it"
     elif away_rad > TURNED_AWAY_RAD:
-        verdict, measured = "bad", f"looks away from the others' scene, by {away}"
+        verdict, text = "bad", f"looks away from the others' scene, by {away}"
         advice = "mirrored or inverted pose? check axes and handedness"
     elif roll_rad > UPSIDE_DOWN_RAD:
-        measured, advice = f"upside down against the others, by {roll}", "mounted upside down? else its y axis is inverted"
+        text, advice = f"upside down against the others, by {roll}", "mounted upside down? else its y axis is inverted"
     elif away_rad > half_view_rad(camera):
-        measured = f"the others' common point is outside its picture, {away} off its axis"
+        text = f"the others' common point is outside its picture, {away} off its axis"
         advice = "check that it films the same scene"
     elif roll_rad > ROLLED_RAD:
-        measured, advice = f"rolled by {roll} against the others", "check that its frames are turned like its pose"
+        text, advice = f"rolled by {roll} against the others", "check that its frames are turned like its pose"
     elif slant > SLANTED:
-        measured, advice = f"rotation off by {slant:.1e}, the nearest one is used", "store poses with more digits"
+        text, advice = f"rotation off by {slant:.1e}, the nearest one is used", "store poses with more digits"
     else:
-        verdict, measured, advice = "ok", f"{away} off the common point", ""
-    return Finding(camera.name, POSES_QUESTION, verdict, measured, values, advice)
+        verdict, text, advice = "ok", f"{away} off the common point", ""
+    return Finding(camera.name, POSES_QUESTION, verdict, text, values, advice)
 
 
 def _median_direction(directions: Array) -> Array:
@@ -173,8 +173,8 @@ def check_intrinsics(cameras: Sequence[Camera]) -> tuple[Finding, ...]:
     ]
     views = [fields_of_view_deg(camera)[0] for camera in cameras]
     values = {"fov_deg": [round(min(views), 2), round(max(views), 2)], "one_kind_of_lens": is_uniform}
-    measured = f"horizontal field of view {min(views):.1f} .. {max(views):.1f} deg, focal {typical:.3f} of the longer side"
-    return (Finding(RIG, INTRINSICS_QUESTION, "ok", measured, values), *evaluated)
+    text = f"horizontal field of view {min(views):.1f} .. {max(views):.1f} deg, focal {typical:.3f} of the longer side"
+    return (Finding(RIG, INTRINSICS_QUESTION, "ok", text, values), *evaluated)
 
 
 def fields_of_view_deg(camera: Camera) -> tuple[float, float]:
@@ -198,18 +198,18 @@ def _evaluate_intrinsics(camera: Camera, focal_ratio: float) -> Finding:
     }
     verdict: Verdict = "warn"
     if off > WARN_OFF_CENTRE:
-        verdict, measured = (
+        verdict, text = (
             graded(off, WARN_OFF_CENTRE, BAD_OFF_CENTRE),
             f"principal point {100 * off:.0f} % of the side off centre",
         )
         advice = "cropped frames? shift the principal point too"
     elif abs(ratio - 1) > WARN_ASPECT:
-        verdict, measured = graded(abs(ratio - 1), WARN_ASPECT, BAD_ASPECT), f"fx / fy = {ratio:.3f}"
+        verdict, text = graded(abs(ratio - 1), WARN_ASPECT, BAD_ASPECT), f"fx / fy = {ratio:.3f}"
         advice = "calibrated for frames of another aspect? scale both axes; by COLMAP? 'calibrate --camera-model SIMPLE_RADIAL'"
     elif not NARROWEST_DEG < view < WIDEST_DEG:
-        measured, advice = f"horizontal field of view {view:.0f} deg", "focal length in pixels of another size?"
+        text, advice = f"horizontal field of view {view:.0f} deg", "focal length in pixels of another size?"
     elif abs(focal_ratio - 1) > ODD_FOCAL:
-        measured, advice = f"focal length x {focal_ratio:.3f} of the rig's median", "another lens? else see the epipolar error"
+        text, advice = f"focal length x {focal_ratio:.3f} of the rig's median", "another lens? else see the epipolar error"
     else:
-        verdict, measured, advice = "ok", f"field of view {view:.1f} deg", ""
-    return Finding(camera.name, INTRINSICS_QUESTION, verdict, measured, values, advice)
+        verdict, text, advice = "ok", f"field of view {view:.1f} deg", ""
+    return Finding(camera.name, INTRINSICS_QUESTION, verdict, text, values, advice)

@@ -160,8 +160,8 @@ class Recorder:
     def _keep_energy(self, index: int, small: Image8) -> None:
         if self._small is None:
             return
-        before, now = (shrink(grey, MOTION_LONGEST_SIDE_PX) for grey in (self._small, small))
-        energy = shrink(motion_energy(np.stack([before, now]))[0], ENERGY_LONGEST_SIDE_PX).astype(np.float16)
+        before, current = (shrink(grey, MOTION_LONGEST_SIDE_PX) for grey in (self._small, small))
+        energy = shrink(motion_energy(np.stack([before, current]))[0], ENERGY_LONGEST_SIDE_PX).astype(np.float16)
         if index < TIMED_FRAMES:
             self._first_energy[index] = energy
         else:
@@ -180,7 +180,7 @@ class Recorder:
             self._colours[index] = colours
         if len(self._colours) > MOST_COLOURS:
             self._stride *= 2
-            self._colours = {frame: kept for frame, kept in self._colours.items() if frame % self._stride == 0}
+            self._colours = {frame: values for frame, values in self._colours.items() if frame % self._stride == 0}
 
 
 class _Followed:
@@ -209,13 +209,13 @@ class _Followed:
             self._shift = shift
         return shift, self._colours_at(colour)
 
-    def _measure(self, now: Image8) -> Array:
+    def _measure(self, picture: Image8) -> Array:
         unknown = np.full(4, np.nan)
         if len(self._corners) < FEWEST_CORNERS:
             return unknown
-        found, status, _ = cv2.calcOpticalFlowPyrLK(
+        corners, status, _ = cv2.calcOpticalFlowPyrLK(
             self._reference,
-            now,
+            picture,
             self._corners,
             self._guess.copy(),
             winSize=(15, 15),
@@ -223,10 +223,10 @@ class _Followed:
             criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         )
-        seen = status.ravel() > 0
-        if seen.sum() < FEWEST_CORNERS:
+        is_tracked = status.ravel() > 0
+        if is_tracked.sum() < FEWEST_CORNERS:
             return unknown
-        motion, inliers = fit_similarity(self._corners[seen, 0] - self._middle, found[seen, 0] - self._middle)
+        motion, inliers = fit_similarity(self._corners[is_tracked, 0] - self._middle, corners[is_tracked, 0] - self._middle)
         if motion is None or inliers < LEAST_SHARE * len(self._corners):
             return unknown
         self._guess = (self._corners[:, 0] - self._middle) @ motion[:, :2].T + motion[:, 2] + self._middle

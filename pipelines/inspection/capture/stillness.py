@@ -42,15 +42,15 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
         return (Finding(RIG, QUESTION, "unknown", reason), *evaluated)
     sizes = [finding.values["moved_px"] for finding in moved]
     odd = [finding for finding in moved if finding.verdict != "ok"]
-    measured = f"largest displacement {max(sizes):.2f} px, median {np.median(sizes):.2f} px, {len(moved)} cameras"
+    text = f"largest displacement {max(sizes):.2f} px, median {np.median(sizes):.2f} px, {len(moved)} cameras"
     values = {"largest_px": max(sizes), "n_moved": len(odd)}
     if len(odd) > max(len(moved) / 2, 1):
         advice = "a moving rig, or stabilised videos? poses of one instant are wrong for others"
         return (
-            Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {measured}", values, advice),
+            Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {text}", values, advice),
             *evaluated,
         )
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", text, values), *evaluated)
 
 
 def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
@@ -71,17 +71,17 @@ def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
     if verdict == "ok":
         return Finding(camera.name, QUESTION, "ok", f"{size:.2f} +- {SIGMAS * sigma:.2f} px at most", values)
     begun = int(np.flatnonzero(sizes > max(BEGUN * size, SIGMAS * sigma))[0])
-    done = int(np.flatnonzero(sizes >= DONE * size)[0])
+    end = int(np.flatnonzero(sizes >= DONE * size)[0])
     # The middle of a jump can be lost to the median filter; the frames themselves say when.
     raw = np.linalg.norm(shifts[frames], axis=1)
     while begun > 0 and raw[begun - 1] > 0.5 * size:
         begun -= 1
-    values |= {"first_frame": int(frames[begun]), "last_frame": int(frames[max(begun, done)])}
+    values |= {"first_frame": int(frames[begun]), "last_frame": int(frames[max(begun, end)])}
     when = describe_when(values["first_frame"], values["last_frame"], fps)
     how = _describe(series[farthest], camera)
     back = " and came back" if sizes[-1] < 0.3 * size else ""
-    measured = f"moved by {size:.1f} +- {SIGMAS * sigma:.1f} px {when}{back} ({how})"
-    return Finding(camera.name, QUESTION, verdict, measured, values, ADVICE)
+    text = f"moved by {size:.1f} +- {SIGMAS * sigma:.1f} px {when}{back} ({how})"
+    return Finding(camera.name, QUESTION, verdict, text, values, ADVICE)
 
 
 def limits_px(camera: Camera) -> tuple[float, float]:
@@ -110,9 +110,9 @@ def describe_when(first: int, last: int, fps: float = 0.0) -> str:
 
 def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Finding | None:
     """Return a camera whose picture was lost in mid-clip: features say whether it moved far; None if they, too, are silent."""
-    first, *others = record.instants.items()
+    first, *later = record.instants.items()
     last_seen = int(frames[-1]) if len(frames) else 0
-    for frame, features in others:
+    for frame, features in later:
         if frame <= last_seen + 1:
             continue
         shift = _shift_between(first[1], features, camera)
@@ -120,17 +120,17 @@ def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Fin
             continue
         size = float(np.linalg.norm(shift))
         values = _values(camera, shift, size / 10) | {"first_frame": last_seen + 1, "last_frame": frame}
-        measured = f"moved by {size:.0f} px between frames {last_seen} and {frame} ({_describe(shift, camera)})"
-        return Finding(camera.name, QUESTION, "bad", measured, values, ADVICE)
+        text = f"moved by {size:.0f} px between frames {last_seen} and {frame} ({_describe(shift, camera)})"
+        return Finding(camera.name, QUESTION, "bad", text, values, ADVICE)
     return None
 
 
-def _shift_between(one: Features, other: Features, camera: Camera) -> Array | None:
-    matches = match_features(one, other)
+def _shift_between(first: Features, second: Features, camera: Camera) -> Array | None:
+    matches = match_features(first, second)
     middle, radius = np.array(camera.size) / 2, np.hypot(*camera.size) / 2 / np.sqrt(3)
     if len(matches) < 2 * FEWEST_CORNERS:
         return None
-    motion, inliers = fit_similarity(one.uv[matches[:, 0]] - middle, other.uv[matches[:, 1]] - middle)
+    motion, inliers = fit_similarity(first.uv[matches[:, 0]] - middle, second.uv[matches[:, 1]] - middle)
     if motion is None or inliers < len(matches) / 2:
         return None
     zoom, turn = np.hypot(*motion[:, 0]) - 1, np.arctan2(motion[1, 0], motion[0, 0])

@@ -69,16 +69,16 @@ class Lag:
     at_edge: bool
 
 
-def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other: Array32) -> tuple[Array, Array] | None:
+def plane_signals(camera: Camera, partner: Camera, energy_camera: Array32, energy_partner: Array32) -> tuple[Array, Array] | None:
     """Return the motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None if they share no plane.
 
     Args:
-        energy_one: (T, h, w).
-        energy_other: (T, h', w').
+        energy_camera: (T, h, w).
+        energy_partner: (T, h', w').
     """
-    if np.linalg.norm(other.centre - one.centre) < 1e-9:
+    if np.linalg.norm(partner.centre - camera.centre) < 1e-9:
         return None
-    angles = plane_angles(one, other)
+    angles = plane_angles(camera, partner)
     low = max(np.quantile(angle, RIM_SHARE) for angle in angles)
     high = min(np.quantile(angle, 1 - RIM_SHARE) for angle in angles)
     if not low < high:
@@ -86,34 +86,34 @@ def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other:
     edges = np.linspace(low, high, PLANES + 1)
     first, second = (
         _per_plane(energy, np.digitize(angle.ravel(), edges))
-        for energy, angle in zip((energy_one, energy_other), angles, strict=True)
+        for energy, angle in zip((energy_camera, energy_partner), angles, strict=True)
     )
     return first, second
 
 
-def plane_angles(one: Camera, other: Camera) -> tuple[Array, Array]:
+def plane_angles(camera: Camera, partner: Camera) -> tuple[Array, Array]:
     """Angle about the line through both centres of the half-plane that each pixel's ray is in, radians, (H, W) each."""
-    baseline = other.centre - one.centre
+    baseline = partner.centre - camera.centre
     baseline /= np.linalg.norm(baseline)
-    forward = one.axis + other.axis
+    forward = camera.axis + partner.axis
     forward = forward - baseline * (baseline @ forward)
     if np.linalg.norm(forward) < 1e-6:  # they look along the line, at each other or one behind the other
         forward = np.cross(baseline, np.eye(3)[np.abs(baseline).argmin()])
     forward /= np.linalg.norm(forward)
     side = np.cross(baseline, forward)
-    rays = one.rays(), other.rays()
+    rays = camera.rays(), partner.rays()
     return np.arctan2(rays[0] @ side, rays[0] @ forward), np.arctan2(rays[1] @ side, rays[1] @ forward)
 
 
-def best_lag(one: Array, other: Array, largest: int) -> Lag | None:
-    """Return the lag at which other[t + lag] follows one[t] best; None where too little happens in either.
+def best_lag(first: Array, second: Array, largest: int) -> Lag | None:
+    """Return the lag at which second[t + lag] follows first[t] best; None where too little happens in either.
 
     Args:
-        one: signals, (P, T).
+        first: signals, (P, T).
         largest: lags from -largest to largest are tried.
     """
     lags = np.arange(-largest, largest + 1)
-    scores = np.array([_correlation(one, other, int(lag)) for lag in lags])
+    scores = np.array([_correlation(first, second, int(lag)) for lag in lags])
     if not np.isfinite(scores).all():
         return None
     peak = int(scores.argmax())
@@ -130,15 +130,15 @@ def _per_plane(energy: Array32, planes: NDArray[np.int64]) -> Array:
     return np.asarray(sums / np.maximum(count, 1)[:, None])
 
 
-def _correlation(one: Array, other: Array, lag: int) -> float:
+def _correlation(first: Array, second: Array, lag: int) -> float:
     """Return the correlation over all planes of the frames that overlap at a lag; planes count by how much happens in them."""
-    frames = one.shape[1]
-    first = one[:, max(0, -lag) : frames - max(0, lag)]
-    second = other[:, max(0, lag) : frames + min(0, lag)]
-    known = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
-    if not known.any():
+    frames = first.shape[1]
+    first = first[:, max(0, -lag) : frames - max(0, lag)]
+    second = second[:, max(0, lag) : frames + min(0, lag)]
+    mask = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
+    if not mask.any():
         return float("nan")
-    first, second = first[:, known], second[:, known]
+    first, second = first[:, mask], second[:, mask]
     first, second = (signal - signal.mean(axis=1, keepdims=True) for signal in (first, second))
     energy = float((first**2).sum() * (second**2).sum())
     return float((first * second).sum() / np.sqrt(energy)) if energy > 1e-12 else float("nan")
@@ -170,27 +170,27 @@ def check_timing(
     reason = _why_not(records) or ("the calibration is in doubt, see epipolar error" if len(doubtful) == len(cameras) else "")
     if reason:
         subjects = (RIG, *(camera.name for camera in cameras))
-        return tuple(Finding(each, question, "unknown", reason) for question in (QUESTION, DROPPED) for each in subjects)
+        return tuple(Finding(subject, question, "unknown", reason) for question in (QUESTION, DROPPED) for subject in subjects)
     signals = pair_signals(cameras, records, doubtful)
     lags = _supported(len(cameras), measure_lags(signals))
     steps = find_steps(len(cameras), signals, lags)
     if any(steps.values()):
-        signals = {pair: _in_step(pair, both, steps) for pair, both in signals.items()}
+        signals = {pair: _in_step(pair, motions, steps) for pair, motions in signals.items()}
         lags = _supported(len(cameras), measure_lags(signals))
     offsets = solve_offsets(len(cameras), lags)
-    known = [
+    reasons = [
         _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
         for index, record in enumerate(records)
     ]
     evaluated = [
-        Finding(record.name, QUESTION, "unknown", known[index])
-        if known[index]
+        Finding(record.name, QUESTION, "unknown", reasons[index])
+        if reasons[index]
         else _evaluate(record.name, index, offsets, lags, steps[index])
         for index, record in enumerate(records)
     ]
     dropped = [
-        Finding(record.name, DROPPED, "unknown", known[index])
-        if known[index]
+        Finding(record.name, DROPPED, "unknown", reasons[index])
+        if reasons[index]
         else _dropped(record.name, steps[index], timed_frames(records), fps)
         for index, record in enumerate(records)
     ]
@@ -200,20 +200,20 @@ def check_timing(
         rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash manually")
         return (rig, *evaluated, Finding(RIG, DROPPED, "unknown", reason), *dropped)
     spread = float(np.nanmax(np.abs(offsets)))
-    shown = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
+    extent = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
     correlation = float(np.median([lag.correlation for lag in lags.values()]))
     values = {"largest_frames": round(spread, 3), "n_cameras": n_known, "correlation": round(correlation, 3)}
-    measured = f"{shown} among {n_known} cameras, {len(lags)} pairs, correlation {correlation:.2f}"
+    text = f"{extent} among {n_known} cameras, {len(lags)} pairs, correlation {correlation:.2f}"
     n_steps = sum(map(len, steps.values()))
     lost = Finding(RIG, DROPPED, "ok", "none" if not n_steps else f"{n_steps} in the clip", {"n_steps": n_steps})
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated, lost, *dropped)
+    return (Finding(RIG, QUESTION, "ok", text, values), *evaluated, lost, *dropped)
 
 
 def timed_frames(records: Sequence[CameraRecord]) -> list[int]:
     """Return the frames whose motion any camera knows, ascending; -1 stands in gaps, so that no lag reaches over one."""
-    known = sorted(set().union(*(record.energy for record in records)))
+    instants = sorted(set().union(*(record.energy for record in records)))
     frames = []
-    for before, frame in zip([known[0] - 1, *known], known, strict=False):
+    for before, frame in zip([instants[0] - 1, *instants], instants, strict=False):
         frames += [-1] * min(frame - before - 1, LARGEST_LAG) + [frame]
     return frames
 
@@ -227,32 +227,32 @@ def pair_signals(cameras: Sequence[Camera], records: Sequence[CameraRecord], dou
         shape = next(iter(records[index].energy.values())).shape
         missing = np.full(shape, np.nan, np.float32)
         repeats = np.flatnonzero(frozen[index])
-        known = records[index].energy.keys() - jumps(records[index]) - {*repeats, *(repeats + 1)}
-        energies[index] = np.stack([records[index].energy[frame] if frame in known else missing for frame in frames]).astype(
+        readable = records[index].energy.keys() - jumps(records[index]) - {*repeats, *(repeats + 1)}
+        energies[index] = np.stack([records[index].energy[frame] if frame in readable else missing for frame in frames]).astype(
             np.float32
         )
         small[index] = cameras[index].resized(*shape[::-1])
     signals: Signals = {}
     for i, j in neighbour_pairs(cameras):
         if i in usable and j in usable:
-            both = plane_signals(small[i], small[j], energies[i], energies[j])
-            if both is not None:
-                signals[i, j] = both
+            motions = plane_signals(small[i], small[j], energies[i], energies[j])
+            if motions is not None:
+                signals[i, j] = motions
     return signals
 
 
 def jumps(record: CameraRecord) -> set[int]:
     """Frames at which the whole picture jumps, so that everything in it seems to move; none of a camera that always shakes."""
     steps = np.linalg.norm(np.diff(record.shifts_px, axis=0), axis=1)
-    found = np.flatnonzero(steps > JUMP_PX) + 1
-    return set(found.tolist()) if len(found) < MOST_JUMPS_SHARE * len(steps) else set()
+    instants = np.flatnonzero(steps > JUMP_PX) + 1
+    return set(instants.tolist()) if len(instants) < MOST_JUMPS_SHARE * len(steps) else set()
 
 
 def measure_lags(signals: Signals) -> Lags:
     """Lag of each pair of neighbours whose motion agrees at one lag clearly better than at others."""
     lags: Lags = {}
-    for pair, (one, other) in signals.items():
-        lag = best_lag(one, other, min(LARGEST_LAG, one.shape[1] // 3))
+    for pair, (first, second) in signals.items():
+        lag = best_lag(first, second, min(LARGEST_LAG, first.shape[1] // 3))
         if lag is not None and lag.correlation >= LEAST_CORRELATION and not lag.at_edge:
             lags[pair] = lag
     return lags
@@ -262,11 +262,11 @@ def _supported(count: int, lags: Lags) -> Lags:
     """Lags of cameras that enough others confirm; one that depends on a single pair confirms no other."""
     least = min(FEWEST_PAIRS, count - 1)
     while True:
-        own = {index: sum(index in pair for pair in lags) for index in range(count)}
-        kept = {pair: lag for pair, lag in lags.items() if min(own[index] for index in pair) >= least}
-        if len(kept) == len(lags):
+        counts = {index: sum(index in pair for pair in lags) for index in range(count)}
+        supported = {pair: lag for pair, lag in lags.items() if min(counts[index] for index in pair) >= least}
+        if len(supported) == len(lags):
             return lags
-        lags = kept
+        lags = supported
 
 
 def solve_offsets(count: int, lags: Lags) -> Array:
@@ -306,21 +306,21 @@ def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]
     offsets = np.nan_to_num(np.rint(solve_offsets(count, lags))).astype(int)
     steps: dict[int, list[Step]] = {}
     for index in range(count):
-        own = [signals[pair] if pair[0] == index else signals[pair][::-1] for pair in lags if index in pair]
+        motions = [signals[pair] if pair[0] == index else signals[pair][::-1] for pair in lags if index in pair]
         base = [int(offsets[index] - offsets[sum(pair) - index]) for pair in lags if index in pair]
-        costs = [_lag_costs(*both, lag) for both, lag in zip(own, base, strict=True)]
-        steps[index] = _steps_of(np.stack(costs), _spikes(own, base), 0) if len(costs) >= min(FEWEST_PAIRS, count - 1) else []
+        costs = [_lag_costs(*motion, lag) for motion, lag in zip(motions, base, strict=True)]
+        steps[index] = _steps_of(np.stack(costs), _spikes(motions, base), 0) if len(costs) >= min(FEWEST_PAIRS, count - 1) else []
     return steps
 
 
-def _lag_costs(one: Array, other: Array, base: int) -> Array:
+def _lag_costs(first: Array, second: Array, base: int) -> Array:
     """Return the squared difference of what is quick in two motions, at each instant and change of lag, (T, 2 LARGEST_STEP + 1).
 
     Args:
-        one: (P, T).
+        first: (P, T).
         base: lag without a change.
     """
-    first, second = (_quick(signal) for signal in (one, other))
+    first, second = (_quick(signal) for signal in (first, second))
     return np.stack(
         [((first - _later(second, base + change)) ** 2).mean(axis=0) / 2 for change in range(-LARGEST_STEP, LARGEST_STEP + 1)],
         axis=1,
@@ -339,28 +339,28 @@ def _later(signal: Array, lag: int) -> Array:
 
 def _quick(signal: Array) -> Array:
     """Return a motion (P, T) without its slow part, all planes of about one strength, of mean square 1; NaN stays."""
-    known = np.isfinite(signal)
-    weights = gaussian_filter1d(known.astype(float), SLOW_FRAMES, axis=1)
-    slow = gaussian_filter1d(np.where(known, signal, 0.0), SLOW_FRAMES, axis=1) / np.maximum(weights, 1e-9)
-    quick = np.where(known, signal - slow, 0.0)
+    mask = np.isfinite(signal)
+    weights = gaussian_filter1d(mask.astype(float), SLOW_FRAMES, axis=1)
+    slow = gaussian_filter1d(np.where(mask, signal, 0.0), SLOW_FRAMES, axis=1) / np.maximum(weights, 1e-9)
+    quick = np.where(mask, signal - slow, 0.0)
     strength = np.sqrt((quick**2).mean(axis=1, keepdims=True))
     quick = quick / np.maximum(strength, max(0.3 * float(strength.mean()), 1e-9))
-    scale = float(np.sqrt(np.mean(quick[known] ** 2))) if known.any() else 0.0
-    return np.where(known, quick / max(scale, 1e-9), np.nan)
+    scale = float(np.sqrt(np.mean(quick[mask] ** 2))) if mask.any() else 0.0
+    return np.where(mask, quick / max(scale, 1e-9), np.nan)
 
 
-def _spikes(own: Sequence[tuple[Array, Array]], base: Sequence[int]) -> Array:
+def _spikes(motions: Sequence[tuple[Array, Array]], base: Sequence[int]) -> Array:
     """Excess motion of a camera over its neighbours per instant, in standard deviations, (T,); 0 if unknown."""
-    here = np.stack([one.mean(axis=0) for one, _ in own])
-    there = np.stack([_later(other, lag).mean(axis=0) for (_, other), lag in zip(own, base, strict=True)])
-    there = there / np.maximum(np.nanmean(there, axis=1, keepdims=True), 1e-9)
-    known = np.isfinite(here).all(axis=0) & np.isfinite(there).any(axis=0)
-    ratio = np.log(np.maximum(here[:, known].mean(axis=0), 1e-3)) - np.log(
-        np.maximum(np.nanmedian(there[:, known], axis=0), 1e-2)
+    camera_motion = np.stack([motion.mean(axis=0) for motion, _ in motions])
+    neighbour_motion = np.stack([_later(motion, lag).mean(axis=0) for (_, motion), lag in zip(motions, base, strict=True)])
+    neighbour_motion = neighbour_motion / np.maximum(np.nanmean(neighbour_motion, axis=1, keepdims=True), 1e-9)
+    mask = np.isfinite(camera_motion).all(axis=0) & np.isfinite(neighbour_motion).any(axis=0)
+    ratio = np.log(np.maximum(camera_motion[:, mask].mean(axis=0), 1e-3)) - np.log(
+        np.maximum(np.nanmedian(neighbour_motion[:, mask], axis=0), 1e-2)
     )
-    spikes = np.zeros(here.shape[1])
+    spikes = np.zeros(camera_motion.shape[1])
     if len(ratio):
-        spikes[known] = (ratio - np.median(ratio)) / max(robust_sigma(ratio), LEAST_SPIKE_SIGMA)
+        spikes[mask] = (ratio - np.median(ratio)) / max(robust_sigma(ratio), LEAST_SPIKE_SIGMA)
     return spikes
 
 
@@ -372,9 +372,9 @@ def _steps_of(costs: Array, spikes: Array, start: int) -> list[Step]:
         spikes: (T,).
         start: row of the signals that is the first of these.
     """
-    known = np.isfinite(costs)
-    counts = known.sum(axis=0)
-    mean = np.where(known, costs, 0.0).sum(axis=0) / np.maximum(counts, 1)  # (T, L)
+    mask = np.isfinite(costs)
+    counts = mask.sum(axis=0)
+    mean = np.where(mask, costs, 0.0).sum(axis=0) / np.maximum(counts, 1)  # (T, L)
     some = (counts[:, LARGEST_STEP - 1 : LARGEST_STEP + 2] > 0).all(
         axis=1
     )  # elsewhere lags next to each other cannot be compared
@@ -390,32 +390,32 @@ def _steps_of(costs: Array, spikes: Array, start: int) -> list[Step]:
     prices[:-1] -= SPIKE_GAIN * np.where(sizes > 0, np.clip(spikes, *SPIKE_RANGE)[:, None, None], 0.0)
     prices[:, places, places] = np.inf
     inner = prices[LEAST_SIDE:-LEAST_SIDE]
-    row, one, other = (int(value) for value in np.unravel_index(inner.argmin(), inner.shape))
+    row, old_lag, new_lag = (int(value) for value in np.unravel_index(inner.argmin(), inner.shape))
     row += LEAST_SIDE
-    if before[-1].min() - prices[row, one, other] < LEAST_GAIN:
+    if before[-1].min() - prices[row, old_lag, new_lag] < LEAST_GAIN:
         return []
-    near = prices[:, one, other] <= prices[row, one, other] + 0.5
+    near = prices[:, old_lag, new_lag] <= prices[row, old_lag, new_lag] + 0.5
     first = last = row
     while first > LEAST_SIDE and near[first - 1]:
         first -= 1
     while last < len(mean) - LEAST_SIDE and near[last + 1]:
         last += 1
-    step = Step(start + row, start + first, start + last, other - one)
+    step = Step(start + row, start + first, start + last, new_lag - old_lag)
     left, right = (slice(None), slice(row)), (slice(None), slice(row, None))
     return [*_steps_of(costs[left], spikes[left[1]], start), step, *_steps_of(costs[right], spikes[right[1]], start + row)]
 
 
-def _in_step(pair: tuple[int, int], both: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
+def _in_step(pair: tuple[int, int], motions: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
     """Return the signals of two cameras as they would be had none lost or doubled a frame."""
     mended = []
-    for index, signal in zip(pair, both, strict=True):
+    for index, signal in zip(pair, motions, strict=True):
         shift, place = np.zeros(signal.shape[1], int), np.arange(signal.shape[1])
         for step in steps[index]:
             shift[step.row :] += step.size
         target = place + shift
-        kept = (target >= 0) & (target < len(place))
+        inside = (target >= 0) & (target < len(place))
         moved = np.full_like(signal, np.nan)
-        moved[:, target[kept]] = signal[:, place[kept]]
+        moved[:, target[inside]] = signal[:, place[inside]]
         mended.append(moved)
     return mended[0], mended[1]
 
@@ -429,41 +429,41 @@ def _why_not(records: Sequence[CameraRecord]) -> str:
     return ""
 
 
-def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> str:
+def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own_lags: Sequence[Lag]) -> str:
     """Return the reason why one camera has no result; empty if it has one."""
     if is_doubtful:
         return "its calibration is in doubt, see epipolar error"
     if len(record.energy) < FEWEST_FRAMES - 1:
         return f"{len(record.energy) + 1} frames in a row, at least {FEWEST_FRAMES} are needed"
-    return "no motion that enough neighbours see too" if len(own) < min(FEWEST_PAIRS, n_cameras - 1) else ""
+    return "no motion that enough neighbours see too" if len(own_lags) < min(FEWEST_PAIRS, n_cameras - 1) else ""
 
 
 def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence[Step]) -> Finding:
-    own = {pair: lag for pair, lag in lags.items() if index in pair}
+    own_lags = {pair: lag for pair, lag in lags.items() if index in pair}
     offset = float(offsets[index])
     if not np.isfinite(offset):
         return Finding(name, QUESTION, "unknown", "its neighbours share no motion with the rest of the rig")
-    residuals = np.array([offsets[i] - offsets[j] - lag.frames for (i, j), lag in own.items()])
+    residuals = np.array([offsets[i] - offsets[j] - lag.frames for (i, j), lag in own_lags.items()])
     scatter = float(np.median(np.abs(residuals)))
     if scatter > LARGEST_SCATTER_FRAMES:
-        return Finding(name, QUESTION, "unknown", f"its {len(own)} neighbours contradict each other by {scatter:.1f} frames")
-    correlation = float(np.median([lag.correlation for lag in own.values()]))
+        return Finding(name, QUESTION, "unknown", f"its {len(own_lags)} neighbours contradict each other by {scatter:.1f} frames")
+    correlation = float(np.median([lag.correlation for lag in own_lags.values()]))
     usual = float(np.median([abs(offsets[i] - offsets[j] - lag.frames) for (i, j), lag in lags.items()]))
     unlike = UNLIKE_SIGMA_FRAMES * np.sqrt(1 - correlation**2) / correlation
-    half_width = max(SIGMAS * np.hypot(1.4826 * max(scatter, usual) * 1.2533 / np.sqrt(len(own)), unlike), LEAST_HALF_WIDTH)
+    half_width = max(SIGMAS * np.hypot(1.4826 * max(scatter, usual) * 1.2533 / np.sqrt(len(own_lags)), unlike), LEAST_HALF_WIDTH)
     values = {"offset_frames": round(offset, 3), "half_width_frames": round(half_width, 3)}
-    values |= {"correlation": round(correlation, 3), "n_pairs": len(own), "is_constant": not steps}
+    values |= {"correlation": round(correlation, 3), "n_pairs": len(own_lags), "is_constant": not steps}
     size = abs(offset)
     verdict: Verdict = "ok" if size <= half_width else graded(size, WARN_FRAMES, BAD_FRAMES)
     direction = "ahead of" if offset > 0 else "behind"
-    measured = f"{size:.2f} +- {half_width:.2f} frames {direction} the rig"
-    measured += f"{' at the start' if steps else ''}, correlation {correlation:.2f} with {len(own)} cameras"
+    text = f"{size:.2f} +- {half_width:.2f} frames {direction} the rig"
+    text += f"{' at the start' if steps else ''}, correlation {correlation:.2f} with {len(own_lags)} cameras"
     advice = "" if verdict == "ok" else "shot without genlock? drop the camera for fast motion"
-    if whole := whole_shift(values):
-        advice = f"'check --repair' shifts it by {abs(whole)} frame{'s' * (abs(whole) > 1)}; or drop it"
+    if n_frames := whole_shift(values):
+        advice = f"'check --repair' shifts it by {abs(n_frames)} frame{'s' * (abs(n_frames) > 1)}; or drop it"
     elif verdict == "bad" and steps:
         advice = f"see {DROPPED}: no shift suits the whole clip"
-    return Finding(name, QUESTION, verdict, measured, values, advice)
+    return Finding(name, QUESTION, verdict, text, values, advice)
 
 
 def whole_shift(values: Mapping[str, Any]) -> int:

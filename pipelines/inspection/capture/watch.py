@@ -76,11 +76,11 @@ class Watch:
         self._lights: dict[str, Light] = {}
         self._agreed: dict[str, tuple[str, int]] = {}
 
-    def look(self, now: float) -> list[Light]:
+    def look(self, time_s: float) -> list[Light]:
         """Read the frames that came since the last round; gives the state of each camera.
 
         Args:
-            now: seconds since 1970.
+            time_s: seconds since 1970.
 
         Raises:
             CaptureError: no frames of two cameras are there yet, or a camera is not one of the rig.
@@ -93,10 +93,10 @@ class Watch:
         stuck = {name: message for name, file in files.items() if (message := self._add_frames(name, file))}
         n_frames = max(self._read.values())
         records = {name: self._recorders[name].record(n_frames) for name in files}
-        seen = {name: file for name, file in files.items() if name in self._sizes}
-        findings = self._ask(seen, [records[name] for name in seen]) if seen else []
+        readable = {name: file for name, file in files.items() if name in self._sizes}
+        findings = self._ask(readable, [records[name] for name in readable]) if readable else []
         findings += [Finding(name, frames.FRAMES, "bad", why) for name, why in stuck.items()]
-        return [self._turn(name, findings, now, record) for name, record in records.items()]
+        return [self._turn(name, findings, time_s, record) for name, record in records.items()]
 
     def _add_frames(self, name: str, file: CameraFrames) -> str:
         """Add a camera's new frames; gives the reason where one cannot be read, which is tried again."""
@@ -116,31 +116,35 @@ class Watch:
         capture = Capture(
             self.path.name, LAYOUT, self.path, tuple(cameras), tuple(files.values()), len(records[0].change), fps, 1, LAYOUT
         )
-        found = [*frames.check_frames(capture, records), *frames.check_frozen(records, capture.fps)]
-        found += stillness.check_stillness(cameras, records, fps)
+        findings = [*frames.check_frames(capture, records), *frames.check_frozen(records, capture.fps)]
+        findings += stillness.check_stillness(cameras, records, fps)
         if self._posed and all(record.instants for record in records):
             if self._pairs is None:
                 features = [record.instants[0] for record in records]
                 self._pairs = tuple(match_pairs(cameras, features, neighbour_pairs(cameras)))
-            found += timing.check_timing(cameras, records, (), fps)
-            found += colour_drift.check_drift(capture.camera_names, records, self._pairs, fps)
-        return found
+            findings += timing.check_timing(cameras, records, (), fps)
+            findings += colour_drift.check_drift(capture.camera_names, records, self._pairs, fps)
+        return findings
 
     def _camera(self, name: str) -> Camera:
         size = self._sizes[name]
         return self._posed[name].resized(*size) if self._posed else placeholder_camera(name, *size)
 
-    def _turn(self, name: str, findings: Iterable[Finding], now: float, record: CameraRecord) -> Light:
+    def _turn(self, name: str, findings: Iterable[Finding], time_s: float, record: CameraRecord) -> Light:
         """Return the light of a camera, which changes once two rounds in a row agree on its verdict."""
-        own = [each for each in findings if each.subject == name and each.question in WATCHED and each.verdict != "unknown"]
-        worst = max(own, key=lambda each: SEVERITY[each.verdict], default=None)
+        answers = [
+            finding
+            for finding in findings
+            if finding.subject == name and finding.question in WATCHED and finding.verdict != "unknown"
+        ]
+        worst = max(answers, key=lambda finding: SEVERITY[finding.verdict], default=None)
         verdict = worst.verdict if worst else "unknown"
         reason = f"{worst.question}: {worst.measured}" if worst and verdict != "ok" else ""
         before = self._lights.get(name)
-        seen = self._agreed.get(name, ("", 0))
-        self._agreed[name] = (verdict, seen[1] + 1 if seen[0] == verdict else 1)
+        streak = self._agreed.get(name, ("", 0))
+        self._agreed[name] = (verdict, streak[1] + 1 if streak[0] == verdict else 1)
         if before is None or (verdict != before.verdict and self._agreed[name][1] >= ROUNDS):
-            light = Light(name, verdict, reason, now, record.n_read)
+            light = Light(name, verdict, reason, time_s, record.n_read)
         elif verdict == before.verdict:
             light = replace(before, reason=reason, n_frames=record.n_read)
         else:
@@ -170,30 +174,30 @@ def watch(
         clock: seconds since 1970.
     """
     watched, number = Watch(path, rig), 0
-    shown: dict[str, tuple[str, str]] = {}
+    states: dict[str, tuple[str, str]] = {}
     while True:
         number += 1
-        now = clock()
+        time_s = clock()
         try:
-            lights = watched.look(now)
+            lights = watched.look(time_s)
         except CaptureError as error:
             lights = []
-            yield json.dumps({"time": now, "waiting": str(error)}) if as_json else f"waiting: {error}"
+            yield json.dumps({"time": time_s, "waiting": str(error)}) if as_json else f"waiting: {error}"
         for light in lights:
             state = (light.verdict, light.reason.split(":")[0])
             if as_json:
-                yield json.dumps({"round": now, **asdict(light)})
-            elif shown.get(light.camera) != state:
+                yield json.dumps({"round": time_s, **asdict(light)})
+            elif states.get(light.camera) != state:
                 yield light.line()
-            shown[light.camera] = state
+            states[light.camera] = state
         if page is not None:
-            write_page(page, path, lights, every_s, now)
+            write_page(page, path, lights, every_s, time_s)
         if number == rounds:
             return
-        sleep(max(every_s - (clock() - now), 0.0))
+        sleep(max(every_s - (clock() - time_s), 0.0))
 
 
-def write_page(file: Path, path: Path, lights: Iterable[Light], every_s: float, now: float) -> None:
+def write_page(file: Path, path: Path, lights: Iterable[Light], every_s: float, time_s: float) -> None:
     """One small page of all cameras, which loads itself again."""
     rows = "".join(
         f'<tr class="{light.verdict}"><td>{escape(light.camera)}<td><b>{light.verdict}</b><td>{escape(light.reason)}'
@@ -201,6 +205,6 @@ def write_page(file: Path, path: Path, lights: Iterable[Light], every_s: float, 
         for light in lights
     )
     head = PAGE_HEAD.format(seconds=max(every_s, 1.0), title=f"{escape(path.name)}: rig")
-    text = f"{head}<h1>{escape(path.name)}</h1><p>{time.strftime('%H:%M:%S', time.localtime(now))}</p><table>{rows}</table>\n"
+    text = f"{head}<h1>{escape(path.name)}</h1><p>{time.strftime('%H:%M:%S', time.localtime(time_s))}</p><table>{rows}</table>\n"
     with atomic_file(file) as unfinished:
         unfinished.write_text(text, encoding="utf-8")

@@ -72,8 +72,8 @@ def find_strengths(values: Vector, honest: float, uneven: Vector) -> list[Streng
         [[0.5], [0.5], [0.5]]
     """
     shared = pool_strengths(values, honest, np.median(uneven, axis=0))
-    left, whole = (np.linalg.norm(rest, axis=1) for rest in (values - shared.value, values))
-    if shared.evidence.max() >= 1 and (left < whole).all():
+    left, total = (np.linalg.norm(residual, axis=1) for residual in (values - shared.value, values))
+    if shared.evidence.max() >= 1 and (left < total).all():
         return [shared] * len(values)
     if len(values) == 1:
         return [None]

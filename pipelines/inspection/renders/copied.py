@@ -150,14 +150,21 @@ def noise_sums(view: ViewFrames, rendered: FineReader, truth: FineReader, index:
     around = _mean(truth, near)
     design = _design(around)
     noise = _beyond(truth(index) - around, design)
-    theirs, ours = (_beyond(read(index) - _mean(read, far), design) for read in (truth, rendered))
+    truth_residual, rendered_residual = (_beyond(read(index) - _mean(read, far), design) for read in (truth, rendered))
     beside = [
-        _beyond(truth(other) - _mean(truth, (index, 2 * other - index)), design) for other in near if 2 * other - index in far
+        _beyond(truth(neighbour) - _mean(truth, (index, 2 * neighbour - index)), design)
+        for neighbour in near
+        if 2 * neighbour - index in far
     ]
-    energy, own = (np.square(image).sum(axis=1) for image in (noise, ours))
+    energy, rendered_energy = (np.square(image).sum(axis=1) for image in (noise, rendered_residual))
     steady = energy <= np.quantile(energy, STEADY_SHARE)
-    weights = 1 / (own + np.median(own) + 1)
-    return NoiseSums(*((weights * (image * noise).sum(axis=1))[steady] for image in (theirs, ours, -np.mean(beside, axis=0))))
+    weights = 1 / (rendered_energy + np.median(rendered_energy) + 1)
+    return NoiseSums(
+        *(
+            (weights * (image * noise).sum(axis=1))[steady]
+            for image in (truth_residual, rendered_residual, -np.mean(beside, axis=0))
+        )
+    )
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
@@ -166,7 +173,7 @@ def has_far_frames(view: ViewFrames, index: int) -> bool:
 
 
 def _beside(view: ViewFrames, index: int, lag: int) -> list[int]:
-    return [other for other in (index - lag, index + lag) if other in view.frames]
+    return [instant for instant in (index - lag, index + lag) if instant in view.frames]
 
 
 def _mean(read: FineReader, indices: Sequence[int]) -> Array32:
@@ -218,17 +225,17 @@ def find_copied(name: str, view: ViewFrames) -> list[Finding]:
         elif fit is not None:
             fits[index] = fit
     instants = [index for index in spread(view.frames, NOISE_INSTANTS) if has_far_frames(view, index)]
-    ours, theirs = (lru_cache(WINDOW)(partial(_fine, read)) for read in (view.rendered, view.truth))
-    noise = {index: noise_sums(view, ours, theirs, index) for index in instants if index not in identical}
-    written = _written_again(fits, noise)
+    rendered_fine, truth_fine = (lru_cache(WINDOW)(partial(_fine, read)) for read in (view.rendered, view.truth))
+    noise = {index: noise_sums(view, rendered_fine, truth_fine, index) for index in instants if index not in identical}
+    copies = _written_again(fits, noise)
     findings = [
         *(
             [_finding(name, "certain", f"{_named(identical, view)} captured, bit by bit", {"n_frames": len(identical)})]
             if identical
             else []
         ),
-        *_copies(name, view, written, fits, [noise[index] for index in written if index in noise]),
-        *_blend(name, [sums for index, sums in noise.items() if index not in written]),
+        *_copies(name, view, copies, fits, [noise[index] for index in copies if index in noise]),
+        *_blend(name, [sums for index, sums in noise.items() if index not in copies]),
     ]
     if findings or pooled_share(noise.values()).reveals_copies or any(fit.reveals_copies for fit in fits.values()):
         return findings
@@ -256,37 +263,37 @@ def _written_again(fits: Mapping[int, Fit], noise: Mapping[int, NoiseSums]) -> l
 
 
 def _copies(
-    name: str, view: ViewFrames, written: Sequence[int], fits: Mapping[int, Fit], noise: Sequence[NoiseSums]
+    name: str, view: ViewFrames, copies: Sequence[int], fits: Mapping[int, Fit], noise: Sequence[NoiseSums]
 ) -> list[Finding]:
     """Return the frames that are hardly anything else; proved by their noise, or by the other frames that are not like them."""
-    if not written:
+    if not copies:
         return []
-    least, others = (
-        [fit.correlation for index, fit in fits.items() if (index in written) == is_written] for is_written in (True, False)
+    least, other_fits = (
+        [fit.correlation for index, fit in fits.items() if (index in copies) == is_written] for is_written in (True, False)
     )
     share = pooled_share(noise)
-    values: dict[str, float] = {"n_frames": len(written), "share": share.share}
-    measured = f"{_named(written, view)} captured, written again"
+    values: dict[str, float] = {"n_frames": len(copies), "share": share.share}
+    text = f"{_named(copies, view)} captured, written again"
     if least:
-        values |= {"worst_patches": min(least), "worst_patches_others": float(np.median(others or [1.0]))}
-        measured += f": fine detail correlates {values['worst_patches']:.3f} in the worst patches"
-        measured += f", {values['worst_patches_others']:.2f} in the other frames" if others else ""
-    measured += f"; they have {100 * share.share:.0f} % of its noise" if share.deviations > LEAST_DEVIATIONS else ""
+        values |= {"worst_patches": min(least), "worst_patches_others": float(np.median(other_fits or [1.0]))}
+        text += f": fine detail correlates {values['worst_patches']:.3f} in the worst patches"
+        text += f", {values['worst_patches_others']:.2f} in the other frames" if other_fits else ""
+    text += f"; they have {100 * share.share:.0f} % of its noise" if share.deviations > LEAST_DEVIATIONS else ""
     is_proved = share.excess > CERTAIN_SHARE and share.deviations > LEAST_DEVIATIONS
     is_unlike = bool(least) and values["worst_patches_others"] < USUAL_CORRELATION
-    return [_finding(name, verdict_of(is_proved or is_unlike), measured, values)]
+    return [_finding(name, verdict_of(is_proved or is_unlike), text, values)]
 
 
 def _blend(name: str, noise: Sequence[NoiseSums]) -> list[Finding]:
     """Return a share of the truth in all frames that are no copies."""
-    one = pooled_share(noise)
-    if one.excess < LEAST_SHARE or one.deviations < LEAST_DEVIATIONS:
+    share = pooled_share(noise)
+    if share.excess < LEAST_SHARE or share.deviations < LEAST_DEVIATIONS:
         return []
-    measured = (
-        f"{100 * one.share:.0f} % of the truth's sensor noise is in the rendering, {one.deviations:.0f} standard errors from "
+    text = (
+        f"{100 * share.share:.0f} % of the truth's sensor noise is in the rendering, {share.deviations:.0f} standard errors from "
         "none: the reference was blended in, or copied and changed"
     )
-    return [_finding(name, verdict_of(one.excess > CERTAIN_SHARE), measured, {"share": one.share, "share_error": one.error})]
+    return [_finding(name, verdict_of(share.excess > CERTAIN_SHARE), text, {"share": share.share, "share_error": share.error})]
 
 
 def _named(frames: Sequence[int], view: ViewFrames) -> str:
@@ -295,18 +302,18 @@ def _named(frames: Sequence[int], view: ViewFrames) -> str:
 
 def worst_patches(rendered: Image8, truth: Image8) -> Fit | None:
     """Compare the fine detail of textured patches; None where too few have texture."""
-    ours, theirs = (mean_of_channels(image) for image in (rendered, truth))
+    rendered_grey, truth_grey = (mean_of_channels(image) for image in (rendered, truth))
     whole_px, part_px = divmod(DISPLACED_WIDTHS * truth.shape[1], 1)
-    near, far = (np.roll(theirs, int(whole_px) + step, axis=1) for step in (0, 1))
-    patches = [_patches(grey) for grey in (theirs, ours, (1 - part_px) * near + part_px * far)]
+    near, far = (np.roll(truth_grey, int(whole_px) + step, axis=1) for step in (0, 1))
+    patches = [_patches(grey) for grey in (truth_grey, rendered_grey, (1 - part_px) * near + part_px * far)]
     textured = patches[0].std(axis=1) > TEXTURE_255
     if np.count_nonzero(textured) < FEWEST_PATCHES:
         return None
-    wanted, *compared = (flat[textured] for flat in patches)
+    reference, *compared = (flat[textured] for flat in patches)
     worst = []
     for flat in compared:
-        energy = np.sqrt(np.square(flat).sum(axis=1) * np.square(wanted).sum(axis=1)) + 1e-6
-        worst.append(float(np.quantile((flat * wanted).sum(axis=1) / energy, WORST_SHARE)))
+        energy = np.sqrt(np.square(flat).sum(axis=1) * np.square(reference).sum(axis=1)) + 1e-6
+        worst.append(float(np.quantile((flat * reference).sum(axis=1) / energy, WORST_SHARE)))
     return Fit(correlation=worst[0], displaced_misfit=1 - worst[1])
 
 
@@ -316,6 +323,6 @@ def _patches(grey: Array32) -> Array32:
     return np.asarray(flat - flat.mean(axis=1, keepdims=True), dtype=np.float32)
 
 
-def _finding(name: str, verdict: Verdict, measured: str, values: Mapping[str, float]) -> Finding:
+def _finding(name: str, verdict: Verdict, text: str, values: Mapping[str, float]) -> Finding:
     advice = "exclude the test view from the method's inputs; are reference and render folders swapped?"
-    return Finding(name, QUESTION, verdict, measured, values, advice)
+    return Finding(name, QUESTION, verdict, text, values, advice)

@@ -55,10 +55,10 @@ def find_jpeg(name: str, view: ViewFrames) -> list[Finding]:
     if strength < LIKELY_COMB:
         return []
     step = float(np.median([comb[1] for comb in combs]))
-    measured = f"block coefficients come in steps (about {step:g} levels): comb {strength:.2f} on the 8 x 8 grid, 0 without JPEG"
+    text = f"block coefficients come in steps (about {step:g} levels): comb {strength:.2f} on the 8 x 8 grid, 0 without JPEG"
     verdict = verdict_of(strength > CERTAIN_COMB)
     values = {"comb": strength, "step_255": step}
-    return [Finding(name, "JPEG", verdict, measured, values, "write PNG: JPEG costs decibels, or hides noise and gains some")]
+    return [Finding(name, "JPEG", verdict, text, values, "write PNG: JPEG costs decibels, or hides noise and gains some")]
 
 
 def comb_strength(image: Image8) -> tuple[float, float]:
@@ -67,11 +67,11 @@ def comb_strength(image: Image8) -> tuple[float, float]:
     luma = crop @ np.array([0.299, 0.587, 0.114], np.float32) - 128
     on, off = (_coefficients(luma[start:, start:]) for start in (0, BLOCK_PX // 2))
     combs = [_comb(on[:, u, v], off[:, u, v]) for u, v in FREQUENCIES]
-    told = [one for one in combs if one is not None]
-    if not told:
+    known_combs = [comb for comb in combs if comb is not None]
+    if not known_combs:
         return 0.0, 0.0
-    strength = float(np.quantile([value for value, _ in told], UNTOLD_SHARE))
-    return max(strength, 0.0), float(np.median([step for value, step in told if value >= strength]))
+    strength = float(np.quantile([value for value, _ in known_combs], UNTOLD_SHARE))
+    return max(strength, 0.0), float(np.median([step for value, step in known_combs if value >= strength]))
 
 
 def _coefficients(luma: Array32) -> NDArray[np.float64]:
@@ -89,7 +89,7 @@ def _comb(on: NDArray[np.float64], off: NDArray[np.float64]) -> tuple[float, flo
         used_on, used_off = (values[np.abs(values) > 0.5 * step] for values in (on, off))
         if min(len(used_on), len(used_off)) < FEWEST_BLOCKS:
             break
-        fits = [float(np.cos(2 * np.pi * used / step).mean()) for used in (used_on, used_off)]
+        fits = [float(np.cos(2 * np.pi * values / step).mean()) for values in (used_on, used_off)]
         differences.append(fits[0] - fits[1])
     if not differences:
         return None
@@ -121,13 +121,13 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     if strength < LIKELY_PEAK or (share > LARGEST_FINE_SHARE and strength < PLAIN_PEAK):
         return []
     verdict = verdict_of(strength > CERTAIN_PEAK)
-    measured = (
+    text = (
         f"interpolated by {PERIODS_PX[period]}: period of {period:g} px {strength:.0f} times the usual, "
         f"{100 * share:.0f} % of the finest detail is left"
     )
     values = {"period_px": period, "peak": strength, "fine_share": share}
     advice = "rendered at a smaller size and enlarged? render at the full size"
-    return [Finding(name, "up-scaled", verdict, measured, values, advice)]
+    return [Finding(name, "up-scaled", verdict, text, values, advice)]
 
 
 def fine_energy(image: Image8) -> float:
@@ -183,27 +183,27 @@ def examine(
         if usable := longest_run(scans[name].usable):
             comparable[name] = _comparable(view, usable, scans[name])
     on_disk = dict(comparable)
-    found: list[Finding] = []
+    view_findings: list[Finding] = []
     for name, view in comparable.items():
         of_camera, comparable[name] = find_identity(name, view, pictures)
-        found += of_camera
+        view_findings += of_camera
     placed = find_placement(comparable)
     comparable = undo_changes(comparable, placed)
-    found += placed
+    view_findings += placed
     for name, view in comparable.items():
         of_time, comparable[name] = check_sample(name, view)
-        found += of_time
+        view_findings += of_time
     levels = drop_idle(comparable, find_levels(comparable, SAMPLED_FRAMES), LEAST_EXPLAINED)
-    found += levels
+    view_findings += levels
     for name, view in undo_changes(comparable, levels).items():
         # Copies among renders of another exposure flicker, too.
         copied = find_copied(name, view)
         is_copied = any(finding.verdict != "unknown" for finding in copied)
-        found += copied if is_copied else [*copied, *find_flicker(name, view)]
-    found = [finding for finding in found if with_unknown or finding.verdict != "unknown"]
+        view_findings += copied if is_copied else [*copied, *find_flicker(name, view)]
+    view_findings = [finding for finding in view_findings if with_unknown or finding.verdict != "unknown"]
     findings: list[Finding] = []
     for name, scan in scans.items():
-        of_view = [finding for finding in found if finding.subject == name]
+        of_view = [finding for finding in view_findings if finding.subject == name]
         findings += scan.findings
         if name in on_disk:
             findings += find_repeated(name, views[name], scan, of_view) + of_view
@@ -248,10 +248,10 @@ def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
     beyond_db = psnr_db - ceiling_db
     if not beyond_db > LIKELY_DB:
         return []
-    measured = f"PSNR {psnr_db:.1f} dB, above the ceiling of a perfect rendering without noise and codec, {ceiling_db:.1f} dB"
+    text = f"PSNR {psnr_db:.1f} dB, above the ceiling of a perfect rendering without noise and codec, {ceiling_db:.1f} dB"
     advice = "was the method trained on, fitted to or initialised by this view? hold it out there too"
     values = {"psnr_db": psnr_db, "ceiling_db": ceiling_db}
-    return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), measured, values, advice)]
+    return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), text, values, advice)]
 
 
 def explain_loss(views: Mapping[str, ViewFrames]) -> str:

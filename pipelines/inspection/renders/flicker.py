@@ -27,27 +27,27 @@ def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
         return []
     gains = np.stack([region_gains(*pair) for pair in view.pairs(list(view.frames))])  # (T, regions), logarithms
     jumps = np.diff(gains, axis=0) / np.sqrt(2)
-    whole = np.diff(np.median(gains, axis=1)) / np.sqrt(2)
-    size = float(np.sqrt(np.square(whole).mean()))
+    common_jumps = np.diff(np.median(gains, axis=1)) / np.sqrt(2)
+    size = float(np.sqrt(np.square(common_jumps).mean()))
     common = size / max(float(np.sqrt(np.square(jumps).mean())), 1e-9)
     if size < LEAST_FLICKER or common < LEAST_COMMON:
         return []
-    largest = float(np.abs(whole).max() * np.sqrt(2))
-    measured = (
+    largest = float(np.abs(common_jumps).max() * np.sqrt(2))
+    text = (
         f"whole frames are brighter or darker by {100 * size:.1f} % (standard deviation), from one to the next by up to "
         f"{100 * largest:.1f} %"
     )
     values = {"flicker_share": size, "largest_jump_share": largest, "common_share": common}
     advice = "write all frames with one exposure: is each normalised by its own minimum, maximum or mean?"
-    return [Finding(name, "flicker", "likely", measured, values, advice)]
+    return [Finding(name, "flicker", "likely", text, values, advice)]
 
 
 def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
     """Return the logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
-    ours, theirs = (
+    rendered_cells, truth_cells = (
         cv2.resize(mean_of_channels(image), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
         for image in (rendered, truth)
     )
     side = CELLS // REGIONS
-    cells = np.log(ours / theirs).reshape(REGIONS, side, REGIONS, side).swapaxes(1, 2)
+    cells = np.log(rendered_cells / truth_cells).reshape(REGIONS, side, REGIONS, side).swapaxes(1, 2)
     return np.asarray(np.median(cells.reshape(REGIONS**2, -1), axis=1), dtype=np.float64)

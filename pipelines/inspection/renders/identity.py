@@ -73,15 +73,17 @@ class ViewFrames:
     def moved(self, offset: int) -> "ViewFrames":
         """Return the same renders as frames of the instants `offset` later, as far as the truth has them."""
         original, captured = self.rendered, self.truth_range
-        there = [index for index in self.frames if index + offset in captured]
-        frames = range(there[0] + offset, there[-1] + offset + 1)
+        instants = [index for index in self.frames if index + offset in captured]
+        frames = range(instants[0] + offset, instants[-1] + offset + 1)
         return replace(self, rendered=lambda index: original(index - offset), frames=frames)
 
     def reversed(self, offset: int) -> "ViewFrames":
         """Return the same renders in reversed order, as frames of instants `offset` later, as far as the truth has them."""
         original, turning = self.rendered, self.frames.start + self.frames[-1]
-        there = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.truth_range)
-        return replace(self, rendered=lambda index: original(turning - index + offset), frames=range(there[0], there[-1] + 1))
+        instants = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.truth_range)
+        return replace(
+            self, rendered=lambda index: original(turning - index + offset), frames=range(instants[0], instants[-1] + 1)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +130,8 @@ def shrink(image: Image8, longest_side_px: int = SMALL_SIDE_PX) -> Array32:
 
 def spread(indices: range, count: int) -> list[int]:
     """At most `count` numbers, evenly over a range."""
-    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices)))
-    return [indices[round(position)] for position in chosen]
+    positions = np.linspace(0, len(indices) - 1, min(count, len(indices)))
+    return [indices[round(position)] for position in positions]
 
 
 def middle_of(indices: range, count: int) -> range:
@@ -176,11 +178,11 @@ def views_there(run: RunFolder, label: str) -> tuple[dict[str, ViewFrames], list
     for view in run.protocol().views.test:
         require_frames({f"truth of {view}": run.truth(view)}, frames)
         lacking = missing_frames(run.renders(label, view), frames)
-        if there := longest_run([index for index in frames if index not in set(lacking)]):
-            views[view] = ViewFrames(frame_reader(run.renders(label, view)), frame_reader(run.truth(view)), there, frames)
+        if stretch := longest_run([index for index in frames if index not in set(lacking)]):
+            views[view] = ViewFrames(frame_reader(run.renders(label, view)), frame_reader(run.truth(view)), stretch, frames)
         if lacking:
-            measured = f"lacks {as_ranges(lacking)}; " + (f"only {as_ranges(list(there))} examined" if there else "no frame")
-            findings.append(Finding(view, "missing frames", "certain", measured, {"n_frames": len(lacking)}, "render these too"))
+            text = f"lacks {as_ranges(lacking)}; " + (f"only {as_ranges(list(stretch))} examined" if stretch else "no frame")
+            findings.append(Finding(view, "missing frames", "certain", text, {"n_frames": len(lacking)}, "render these too"))
     return views, findings
 
 
@@ -231,8 +233,8 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     for camera, pictures in cameras.items():
         truths = [pictures.outlines(index) for index in instants]
         for mirror, axes in MIRRORS.items():
-            pairs = ((np.flip(ours, axes), theirs) for ours, theirs in zip(upright, truths, strict=True))
-            scores[camera, mirror] = [correlation(ours, theirs) for ours, theirs in pairs]
+            pairs = ((np.flip(rendered, axes), truth) for rendered, truth in zip(upright, truths, strict=True))
+            scores[camera, mirror] = [correlation(rendered, truth) for rendered, truth in pairs]
     return _evaluate(name, view, cameras, scores)
 
 
@@ -247,32 +249,32 @@ def correlation(first: Array32, second: Array32) -> float:
     """Return the normalised correlation of two arrays of one shape; 0 if they differ in shape or nothing varies."""
     if first.shape != second.shape:
         return 0.0
-    one, other = first - first.mean(), second - second.mean()
-    energy = float(np.sqrt((one * one).sum(dtype=np.float64) * (other * other).sum(dtype=np.float64)))
-    return float((one * other).sum(dtype=np.float64)) / energy if energy > 0 else 0.0
+    first, second = first - first.mean(), second - second.mean()
+    energy = float(np.sqrt((first * first).sum(dtype=np.float64) * (second * second).sum(dtype=np.float64)))
+    return float((first * second).sum(dtype=np.float64)) / energy if energy > 0 else 0.0
 
 
 def _evaluate(
     name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], scores: Mapping[tuple[str, str], list[float]]
 ) -> tuple[list[Finding], ViewFrames]:
-    own = np.array(scores[name, "as it is"])
+    straight = np.array(scores[name, "as it is"])
     camera, mirror = max(scores, key=lambda key: float(np.mean(scores[key])))
     best = np.array(scores[camera, mirror])
-    ratios = (1 - best) / np.maximum(1 - own, 1e-6)
+    ratios = (1 - best) / np.maximum(1 - straight, 1e-6)
     # Every instant has to agree: one that does not is a different picture.
     ratio = float(ratios.max())
     if (camera, mirror) == (name, "as it is") or ratio > LIKELY_RATIO or best.min() < LEAST_CORRELATION:
         return [], view
     verdict = verdict_of(ratio < CERTAIN_RATIO)
-    values = {"correlation": float(best.mean()), "own_correlation": float(own.mean()), "instants": float(len(own))}
-    shown = f"structure correlates {best.mean():.2f}, without the change {own.mean():.2f}, at all {len(own)} instants"
+    values = {"correlation": float(best.mean()), "own_correlation": float(straight.mean()), "instants": float(len(straight))}
+    text = f"structure correlates {best.mean():.2f}, without the change {straight.mean():.2f}, at all {len(straight)} instants"
     findings: list[Finding] = []
     if camera != name:
         advice = f"check names and order of the cameras: render {name}, or score these as {camera}"
-        findings.append(Finding(name, "wrong camera", verdict, f"shows {camera}: {shown}", values, advice))
+        findings.append(Finding(name, "wrong camera", verdict, f"shows {camera}: {text}", values, advice))
         view = view.with_truth(cameras[camera].read)
     if axes := MIRRORS[mirror]:
         advice = "flip the frames before writing, or correct the sign of the camera's axes"
-        findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", {**values, "axes": axes}, advice))
+        findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {text}", {**values, "axes": axes}, advice))
         view = view.with_rendered(mirrored({"axes": axes}).inverse)
     return findings, view

@@ -82,74 +82,76 @@ def _coarse_start(rendered: Array32, truth: Array32) -> tuple[Pair, Pair]:
     factor = min(COARSE_SIDE_PX / max(truth.shape), 1.0)
     size = round(truth.shape[1] * factor), round(truth.shape[0] * factor)
     small = (cv2.GaussianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), (0, 0), 1.5) for image in (rendered, truth))
-    ours, theirs = (np.asarray(image - cv2.GaussianBlur(image, (0, 0), 12.0), dtype=np.float32) for image in small)
-    shift_px, _ = cv2.phaseCorrelate(theirs, ours, cv2.createHanningWindow(size, cv2.CV_32F))
+    rendered_detail, truth_detail = (
+        np.asarray(image - cv2.GaussianBlur(image, (0, 0), 12.0), dtype=np.float32) for image in small
+    )
+    shift_px, _ = cv2.phaseCorrelate(truth_detail, rendered_detail, cv2.createHanningWindow(size, cv2.CV_32F))
     none, still = np.ones(2), np.zeros(2)
     starts = [(none, still), (none, np.array(shift_px)), *((np.array(scale), still) for scale in product(SCALES, SCALES))]
-    rests = [_rest(ours, theirs, *start) for start in starts]
+    rests = [_rest(rendered_detail, truth_detail, *start) for start in starts]
     scale, shift = starts[np.argmin([COARSE_GAIN * rests[0], *rests[1:]])]
     return scale, shift / factor
 
 
-def _rest(ours: Array32, theirs: Array32, scale: Pair, shift_px: Pair) -> float:
+def _rest(rendered: Array32, truth: Array32, scale: Pair, shift_px: Pair) -> float:
     """1 - correlation in the middle, which both pictures show; the rendered one scaled about its centre and shifted back."""
-    height, width = theirs.shape
-    moved = resampled(ours, scale, centring(scale, (width, height)) + shift_px, cv2.INTER_LINEAR)
+    height, width = truth.shape
+    moved = resampled(rendered, scale, centring(scale, (width, height)) + shift_px, cv2.INTER_LINEAR)
     middle = np.s_[height // 6 : -height // 6, width // 6 : -width // 6]
-    return 1 - correlation(moved[middle], theirs[middle])
+    return 1 - correlation(moved[middle], truth[middle])
 
 
-def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _refine(rendered: Array32, truth: Array32, motion: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Gauss-Newton steps on ((shift x, shift y), (growth x, growth y)), growth in pixels at the border; then the unevenness."""
-    height, width = theirs.shape
+    height, width = truth.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
     across, down = (x - (width - 1) / 2) / (width / 2), (y - (height - 1) / 2) / (height / 2)
-    truth_x, truth_y = _gradient(theirs)
+    truth_x, truth_y = _gradient(truth)
     for _ in range(ITERATIONS):
         map_x = (x + motion[0, 0] + motion[1, 0] * across).astype(np.float32)
         map_y = (y + motion[0, 1] + motion[1, 1] * down).astype(np.float32)
-        moved = cv2.remap(ours, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        moved = cv2.remap(rendered, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         moved_x, moved_y = _gradient(moved)
         slope_x, slope_y = 0.5 * (truth_x + moved_x), 0.5 * (truth_y + moved_y)
         inside = (np.minimum(map_x, map_y) >= MARGIN_PX) & (map_x < width - MARGIN_PX) & (map_y < height - MARGIN_PX)
-        step = _step(theirs - moved, (slope_x, slope_y, slope_x * across, slope_y * down), inside.astype(np.float32))
+        step = _step(truth - moved, (slope_x, slope_y, slope_x * across, slope_y * down), inside.astype(np.float32))
         motion = motion + step.reshape(2, 2)
         if np.abs(step).max() < 2e-3:
             break
-    return motion, _unevenness(ours, theirs, map_x, map_y)
+    return motion, _unevenness(rendered, truth, map_x, map_y)
 
 
-def _step(rest: Array32, derivatives: tuple[Array32, ...], window: Array32) -> NDArray[np.float64]:
-    """Return the weighted least squares; a rest of twice the usual size counts half."""
-    used = rest[window > 0]
-    if used.size < 100:
+def _step(residual: Array32, derivatives: tuple[Array32, ...], window: Array32) -> NDArray[np.float64]:
+    """Return the weighted least squares; a residual of twice the usual size counts half."""
+    inside = residual[window > 0]
+    if inside.size < 100:
         return np.zeros(len(derivatives))
-    usual = 1.4826 * float(np.median(np.abs(used[:: used.size // MEDIAN_SAMPLES + 1]))) + 1e-3
-    weights = window / (1 + np.square(rest / np.float32(2 * usual)))
+    usual = 1.4826 * float(np.median(np.abs(inside[:: inside.size // MEDIAN_SAMPLES + 1]))) + 1e-3
+    weights = window / (1 + np.square(residual / np.float32(2 * usual)))
     jacobian = np.stack([derivative.ravel() for derivative in derivatives])  # (parameters, pixels)
     weighted = jacobian * weights.ravel()
     normal = (weighted @ jacobian.T).astype(np.float64)
     # A picture without texture along an axis does not move along it.
     ridge = 1e-6 * float(np.trace(normal)) + 1e-9
-    return np.linalg.solve(normal + ridge * np.eye(len(normal)), (weighted @ rest.ravel()).astype(np.float64))
+    return np.linalg.solve(normal + ridge * np.eye(len(normal)), (weighted @ residual.ravel()).astype(np.float64))
 
 
 def _gradient(image: Array32) -> tuple[Array32, Array32]:
     return cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
 
 
-def _unevenness(ours: Array32, theirs: Array32, map_x: Array32, map_y: Array32) -> float:
+def _unevenness(rendered: Array32, truth: Array32, map_x: Array32, map_y: Array32) -> float:
     """Measure the scatter of the shifts that single regions would add to the fit, px, by further steps."""
     shifts_px = []
-    for rows in np.array_split(np.arange(theirs.shape[0]), REGIONS):
-        for columns in np.array_split(np.arange(theirs.shape[1]), REGIONS):
+    for rows in np.array_split(np.arange(truth.shape[0]), REGIONS):
+        for columns in np.array_split(np.arange(truth.shape[1]), REGIONS):
             region = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            window = np.zeros_like(theirs[region])
+            window = np.zeros_like(truth[region])
             window[2:-2, 2:-2] = 1  # derivatives at the rim of a region are one-sided
             added = np.zeros(2, np.float32)
             for _ in range(4):
-                moved = cv2.remap(ours, map_x[region] + added[0], map_y[region] + added[1], cv2.INTER_LINEAR)
-                step = _step(theirs[region] - moved, _gradient(moved), window)
+                moved = cv2.remap(rendered, map_x[region] + added[0], map_y[region] + added[1], cv2.INTER_LINEAR)
+                step = _step(truth[region] - moved, _gradient(moved), window)
                 added += np.clip(step, -0.5, 0.5).astype(np.float32)
             shifts_px.append(added)
     return 1.4826 * float(np.median(np.abs(shifts_px)))
@@ -200,21 +202,21 @@ def _describe_scale(name: str, strength: Strength) -> Finding | None:
         if strength.evidence.min() < 1 or not is_alike:
             return None
         question, verdict, growth = "focal length", verdict_of(False), np.full(2, zoom)
-        measured = f"picture is {how} by {abs(zoom):.2%} +- {error:.2%} about its centre, equally in all parts"
+        text = f"picture is {how} by {abs(zoom):.2%} +- {error:.2%} about its centre, equally in all parts"
         advice = (
             "check fx and fy: intrinsics of another size or before undistortion, or wrong calibration of the captured camera?"
         )
     else:
         question, verdict = "wrong resize", verdict_of(np.abs(growth).max() > 2 * LEAST_STRETCH)
         how = "stretched" if np.ptp(growth) > LEAST_STRETCH / 2 else how
-        measured = f"picture is {how}: {1 + growth[0]:.1%} of its width, {1 + growth[1]:.1%} of its height, at all instants"
+        text = f"picture is {how}: {1 + growth[0]:.1%} of its width, {1 + growth[1]:.1%} of its height, at all instants"
         advice = (
             "cropped or resized to another aspect? resize whole frames, and scale the intrinsics "
             "(fx, cx by width, fy, cy by height)"
         )
     scale_x, scale_y = 1 + growth
     values = {"scale_x": scale_x, "scale_y": scale_y, "scale_x_error": error, "scale_y_error": error}
-    return Finding(name, question, verdict, measured, values, advice)
+    return Finding(name, question, verdict, text, values, advice)
 
 
 def _describe_shift(name: str, strength: Strength) -> Finding | None:
@@ -224,9 +226,9 @@ def _describe_shift(name: str, strength: Strength) -> Finding | None:
         return None
     is_half = np.abs(2 * strength.value - np.rint(2 * strength.value)).max() / 2 < NEAR_HALF_PX
     is_certain = is_half and strength.evidence.max() > CERTAIN_EVIDENCE and size > 0.5 - NEAR_HALF_PX
-    measured = f"the whole picture is {x:+.2f} px right and {y:+.2f} px down, within {error_px:.2f} px"
+    text = f"the whole picture is {x:+.2f} px right and {y:+.2f} px down, within {error_px:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "shift_x_px_error": error_px, "shift_y_px_error": error_px}
-    return Finding(name, "shift", verdict_of(is_certain), measured, values, _shift_advice(size))
+    return Finding(name, "shift", verdict_of(is_certain), text, values, _shift_advice(size))
 
 
 def _shift_advice(size_px: float) -> str:

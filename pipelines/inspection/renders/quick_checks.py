@@ -62,23 +62,25 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
 
     The mean of the channels does not depend on their order and is left out.
     """
-    ours, theirs = (images - images.mean(axis=-1, keepdims=True) for images in (sample.rendered, sample.truth_now))
-    errors = {order: np.square(ours[..., list(order)] - theirs).mean(axis=(1, 2, 3)) for order in permutations(range(3))}
+    rendered_hue, truth_hue = (images - images.mean(axis=-1, keepdims=True) for images in (sample.rendered, sample.truth_now))
+    errors = {
+        order: np.square(rendered_hue[..., list(order)] - truth_hue).mean(axis=(1, 2, 3)) for order in permutations(range(3))
+    }
     straight = errors[0, 1, 2]
     order = min(errors, key=lambda key: float(errors[key].mean()))
     ratio = float((errors[order] / np.maximum(straight, 1e-6)).max())  # at every instant
-    hue_255 = float(np.sqrt(np.square(theirs).mean()))
+    hue_255 = float(np.sqrt(np.square(truth_hue).mean()))
     if order == (0, 1, 2) or ratio > LIKELY_ORDER or hue_255 < LEAST_HUE_255:
         return [], view
     came = order_name(order)
     values = {"hue_error_255": float(np.sqrt(straight.mean())), "hue_error_mended_255": float(np.sqrt(errors[order].mean()))}
-    measured = (
+    text = (
         f"channels come as {came}: the hue is off by {values['hue_error_255']:.1f} of 255, "
         f"reordered by {values['hue_error_mended_255']:.1f}"
     )
     advice = "convert before writing: OpenCV reads and writes BGR" if came == "BGR" else "reorder the channels before writing"
     verdict = verdict_of(ratio < CERTAIN_ORDER)
-    finding = Finding(name, "channel order", verdict, measured, {**values, "order": order}, advice)
+    finding = Finding(name, "channel order", verdict, text, {**values, "order": order}, advice)
     return [finding], view.with_rendered(reordered({"order": order}).inverse)
 
 
@@ -159,13 +161,13 @@ def check_sample(name: str, view: ViewFrames) -> tuple[list[Finding], ViewFrames
     return [*shifted, *swapped], view
 
 
-def _small(read: FrameReader, kept: int) -> FrameReader:
+def _small(read: FrameReader, count: int) -> FrameReader:
     """Return the frames at the size of a sample, as many as are asked for again."""
 
     def read_small(index: int) -> Image8:
         return round_levels(shrink(read(index)))
 
-    return lru_cache(kept)(read_small)
+    return lru_cache(count)(read_small)
 
 
 @dataclass(frozen=True)
@@ -208,9 +210,9 @@ def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Findi
     rendered, truth = _grey(sample.rendered), _grey(sample.truth)
     lags = range(-LARGEST_OFFSET, LARGEST_OFFSET + 1)
     turning = view.frames.start + view.frames[-1]
-    shown = {(lag, False): [index + lag for index in sample.indices] for lag in lags if lag}
-    shown |= {(lag, True): [turning - index + lag for index in sample.indices] for lag in lags}
-    tried = [_timing(sample, rendered, truth, numbers, *key) for key, numbers in shown.items()]
+    orders = {(lag, False): [index + lag for index in sample.indices] for lag in lags if lag}
+    orders |= {(lag, True): [turning - index + lag for index in sample.indices] for lag in lags}
+    tried = [_timing(sample, rendered, truth, numbers, *key) for key, numbers in orders.items()]
     best = min((timing for timing in tried if timing is not None), key=lambda timing: timing.ratio, default=None)
     if best is None:
         return [Finding(name, OFFSET, "unknown", f"fewer than {FEWEST_FRAMES} frames in a row")], view
@@ -229,14 +231,14 @@ def _finding(name: str, timing: _Timing, instants: range) -> Finding:
         "correlation_without": timing.straight,
         "deviations": timing.deviations,
     }
-    shown = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
-    measured = (
-        f"{shown or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
+    reversal = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
+    text = (
+        f"{reversal or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
         f"{timing.straight:.2f} with t, {-timing.deviations:.1f} standard errors apart"
     )
-    whole = instants[timing.lag :] if timing.lag > 0 else instants[: timing.lag or None]
-    absent = as_ranges(sorted(set(instants) - set(whole)))
-    flags = f"--start {whole.start} " * (whole.start > 0) + f"--frames {len(whole)}"
+    common = instants[timing.lag :] if timing.lag > 0 else instants[: timing.lag or None]
+    absent = as_ranges(sorted(set(instants) - set(common)))
+    flags = f"--start {common.start} " * (common.start > 0) + f"--frames {len(common)}"
     advice = (
         f"renumber the frames by {timing.lag:+d} and, as instant {absent} then has no render, score all methods under a protocol "
         f"without it (ggvs-eval protocol CAPTURE mine.toml {flags}): first frame counted from 0 or 1, or another start?"
@@ -244,7 +246,7 @@ def _finding(name: str, timing: _Timing, instants: range) -> Finding:
     question = "reversed time" if timing.is_reversed else OFFSET
     advice = "number the frames from the first instant to the last" if timing.is_reversed else advice
     verdict = verdict_of(timing.ratio < CERTAIN_RATIO and timing.deviations < CERTAIN_DEVIATIONS)
-    return Finding(name, question, verdict, measured, values, advice)
+    return Finding(name, question, verdict, text, values, advice)
 
 
 def is_offset(finding: Finding) -> bool:
@@ -286,13 +288,16 @@ def _timing(
     pairs = [(i, number) for i, number in enumerate(numbers) if number in instants]
     if len(pairs) < FEWEST_FRAMES:
         return None
-    ours = rendered[[i for i, _ in pairs]]
-    now = truth[[sample.indices[i] - instants.start for i, _ in pairs]]
-    then = truth[[number - instants.start for _, number in pairs]]
-    ours, now, then = (frames - frames.mean(axis=0) for frames in (ours, now, then))
-    products = [_square_sums(a * b) for a, b in ((ours, then), (then, then), (ours, now), (now, now), (ours, ours))]
+    renders = rendered[[i for i, _ in pairs]]
+    captures = truth[[sample.indices[i] - instants.start for i, _ in pairs]]
+    lagged = truth[[number - instants.start for _, number in pairs]]
+    renders, captures, lagged = (frames - frames.mean(axis=0) for frames in (renders, captures, lagged))
+    products = [
+        _square_sums(a * b)
+        for a, b in ((renders, lagged), (lagged, lagged), (renders, captures), (captures, captures), (renders, renders))
+    ]
     sums = np.stack(products)  # (5, squares)
-    shown, straight, ratio = _unexplained(sums.sum(axis=1))
+    lagged_fit, straight, ratio = _unexplained(sums.sum(axis=1))
     ratios = np.log(_unexplained(sums.sum(axis=1, keepdims=True) - sums)[2])  # without each of the squares
     error = float(np.sqrt((len(ratios) - 1) * ratios.var()))
     return _Timing(
@@ -300,7 +305,7 @@ def _timing(
         is_reversed=is_reversed,
         ratio=float(ratio),
         error=error,
-        correlation=float(shown),
+        correlation=float(lagged_fit),
         straight=float(straight),
     )
 
@@ -374,50 +379,50 @@ def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[i
     wrong = {size: indices for size, indices in sizes.items() if size != (width, height)}
     if not wrong:
         return []
-    shown = "; ".join(f"{named_frames(indices)} {w} x {h}" for (w, h), indices in wrong.items())
+    sizes_text = "; ".join(f"{named_frames(indices)} {w} x {h}" for (w, h), indices in wrong.items())
     values = {"width_px": float(next(iter(wrong))[0]), "height_px": float(next(iter(wrong))[1])}
-    measured = f"{shown}, the truth is {width} x {height}"
-    return [Finding(name, "wrong size", "certain", measured, values, f"render at {width} x {height}, do not resize after")]
+    text = f"{sizes_text}, the truth is {width} x {height}"
+    return [Finding(name, "wrong size", "certain", text, values, f"render at {width} x {height}, do not resize after")]
 
 
 def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
     if not blank:
         return []
-    measured = f"{named_frames(blank)} blank ({len(blank)} of {count})"
+    text = f"{named_frames(blank)} blank ({len(blank)} of {count})"
     advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
-    return [Finding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
+    return [Finding(name, "blank frames", "certain", text, {"n_frames": float(len(blank))}, advice)]
 
 
-def find_repeated(name: str, view: ViewFrames, scan: Scan, found: Sequence[Finding]) -> list[Finding]:
-    """Find repeats where the truth moves; those held at an end by an offset in `found` are its consequence, and left out."""
+def find_repeated(name: str, view: ViewFrames, scan: Scan, findings: Sequence[Finding]) -> list[Finding]:
+    """Find repeats where the truth moves; those held at an end by an offset in `findings` are its consequence, and left out."""
     instants = view.truth_range
-    lag = sum(int(finding.values["offset_frames"]) for finding in found if is_offset(finding))
-    held = instants[-lag:] if lag > 0 else instants[1 : 1 - lag]
-    candidates = [index for index in scan.repeats if index not in held]
+    lag = sum(int(finding.values["offset_frames"]) for finding in findings if is_offset(finding))
+    frozen = instants[-lag:] if lag > 0 else instants[1 : 1 - lag]
+    candidates = [index for index in scan.repeats if index not in frozen]
     if not candidates:
         return []
     typical = _truth_change(view, list(view.frames)[1 :: max(len(view.frames) // 8, 1)])
     repeats = [index for index in candidates if _moves(_truth_change(view, [index]), typical)]
     if not repeats:
         return []
-    shown = (
+    repeats_text = (
         f"frames {as_ranges(repeats)} repeat the one before"
         if len(repeats) > 1
         else (f"frame {repeats[0]} repeats frame {repeats[0] - 1}")
     )
-    whole = len(repeats) == len(view.frames) - 1 > 1
-    measured = f"{f'all {len(view.frames)} frames show one instant' if whole else shown} while the truth moves"
+    is_all = len(repeats) == len(view.frames) - 1 > 1
+    text = f"{f'all {len(view.frames)} frames show one instant' if is_all else repeats_text} while the truth moves"
     values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
     advice = "is time passed to the renderer? converted frame rates or dropped frames repeat some"
-    return [Finding(name, "repeated frames", "certain", measured, values, advice)]
+    return [Finding(name, "repeated frames", "certain", text, values, advice)]
 
 
 def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
     """Return the median change of the truth from the frames before some frames to these."""
     changes = [change(shrink(view.truth(index - 1)), shrink(view.truth(index))) for index in indices]
-    return Change(*(float(np.median([getattr(one, part) for one in changes])) for part in ("largest", "usual")))
+    return Change(*(float(np.median([getattr(truth_change, part) for truth_change in changes])) for part in ("largest", "usual")))
 
 
-def _moves(now: Change, typical: Change) -> bool:
+def _moves(current: Change, typical: Change) -> bool:
     """Return whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
-    return now.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * now.usual, MOVING_255)
+    return current.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * current.usual, MOVING_255)

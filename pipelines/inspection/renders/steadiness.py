@@ -47,9 +47,9 @@ def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
     if not values:
         return ""
     change, true_change, sharp, true_sharp = np.array(values, dtype=np.float64).mean(axis=0)
-    told = (
+    text = (
         f"in static areas the renders change by {change:.3f} % of white per frame (mTV x 100), the capture, noise included, by "
         f"{true_change:.3f} %; the sharpness of the renders is {sharp:.2f} %, of the capture {true_sharp:.2f} %"
     )
     is_blurred = change < true_change and sharp < BLURRED_BELOW * true_sharp
-    return told + (": more stable but blurrier than the capture" if is_blurred else "")
+    return text + (": more stable but blurrier than the capture" if is_blurred else "")

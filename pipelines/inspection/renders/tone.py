@@ -112,73 +112,75 @@ def find_gain(samples: Mapping[str, Sample]) -> list[Finding]:
     gain = np.exp(strength.value[0] + has_cast * strength.value[1:])
     error = strength.half_width[0] + has_cast * strength.half_width[1]
     words = ", ".join(f"{channel:.3f}" for channel in gain)
-    measured = f"red, green and blue are {words} of the truth's in all {len(samples)} views, within {error:.3f}"
+    text = f"red, green and blue are {words} of the truth's in all {len(samples)} views, within {error:.3f}"
     advice = "is an exposure, a white balance or a normalisation applied to the frames, or to the captured ones alone?"
-    return [Finding(name, "gain", "likely", measured, {"gain": gain, "gain_error": error}, advice) for name in samples]
+    return [Finding(name, "gain", "likely", text, {"gain": gain, "gain_error": error}, advice) for name in samples]
 
 
 def tone_curves(sample: Sample) -> list[Curve]:
     """Return the median true and rendered level of flat pixels in each channel, by bins of the true level, (bins, 2)."""
     kernel = np.ones((FLAT_PX, FLAT_PX), np.uint8)
-    both = [np.stack([cv2.GaussianBlur(one, (0, 0), SMOOTH_PX) for one in film]) for film in (sample.truth_now, sample.rendered)]
+    smooth_films = [
+        np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in film]) for film in (sample.truth_now, sample.rendered)
+    ]
     ranges = [
         np.stack([np.maximum.reduce(cv2.split(cv2.dilate(image, kernel) - cv2.erode(image, kernel))) for image in images])
-        for images in both
+        for images in smooth_films
     ]
     flat = np.maximum(*ranges) < FLAT_255
-    return [_levels(*(images[..., channel][flat] for images in both)) for channel in range(3)]
+    return [_levels(*(images[..., channel][flat] for images in smooth_films)) for channel in range(3)]
 
 
-def _levels(theirs: NDArray[np.float32], ours: NDArray[np.float32]) -> Curve:
-    bins = (theirs // BIN_255).astype(int)
+def _levels(truth: NDArray[np.float32], rendered: NDArray[np.float32]) -> Curve:
+    bins = (truth // BIN_255).astype(int)
     members = [bins == number for number in range(256 // BIN_255)]
-    points = [(np.median(theirs[one]), np.median(ours[one])) for one in members if np.count_nonzero(one) >= FEWEST_PIXELS]
+    points = [(np.median(truth[mask]), np.median(rendered[mask])) for mask in members if np.count_nonzero(mask) >= FEWEST_PIXELS]
     curve = np.array(points, dtype=np.float64).reshape(-1, 2)
     return curve[((curve > LOWEST_255) & (curve < HIGHEST_255)).all(axis=1)]
 
 
 def fit_tone(curve: Curve) -> tuple[float, ...]:
     """Fit a power law with a gain, an affine map and a gain to a tone curve, (bins, 2) on the scale 0..255: see `ToneFits`."""
-    theirs, ours = curve.T / 255
-    slope, intercept = np.polyfit(theirs, ours, 1)
-    affine = np.abs(slope * theirs + intercept - ours).mean()
+    truth, rendered = curve.T / 255
+    slope, intercept = np.polyfit(truth, rendered, 1)
+    affine = np.abs(slope * truth + intercept - rendered).mean()
     tried = np.geomspace(1 / 3, 3, 221)
-    errors = np.array([_gain_free_error(theirs**power, ours) for power in tried])
+    errors = np.array([_gain_free_error(truth**power, rendered) for power in tried])
     least, rounding = float(errors.min()), 0.2 / 255
-    gain = _gain_free_error(theirs, ours)
+    gain = _gain_free_error(truth, rendered)
     return (
         tried[errors.argmin()],
         (least + rounding) / (affine + rounding),
         (least + rounding) / (gain + rounding),
         slope,
         255 * intercept,
-        float(np.median(ours / theirs)),
+        float(np.median(rendered / truth)),
     )
 
 
-def _gain_free_error(model: Curve, ours: Curve) -> float:
+def _gain_free_error(model: Curve, rendered: Curve) -> float:
     """Return the error of a tone curve that may come with a cast of some per cent."""
-    gain = np.clip((model * ours).sum() / max((model * model).sum(), 1e-9), 1 / LARGEST_GAIN, LARGEST_GAIN)
-    return float(np.abs(gain * model - ours).mean())
+    gain = np.clip((model * rendered).sum() / max((model * model).sum(), 1e-9), 1 / LARGEST_GAIN, LARGEST_GAIN)
+    return float(np.abs(gain * model - rendered).mean())
 
 
 def _power_law(samples: Mapping[str, Sample], fits: ToneFits) -> list[Finding]:
     powers = np.log(fits.power)
     of_views, uneven = (part(powers, axis=1, keepdims=True) for part in (np.median, np.std))
     pooled = pool_strengths(of_views, HONEST_POWER, np.median(uneven, axis=0))
-    rest = float(np.median(fits.of_affine))
-    if pooled.evidence[0] < 1 or rest > LIKELY_TONE or np.median(fits.of_gain) > OF_GAIN:
+    residual = float(np.median(fits.of_affine))
+    if pooled.evidence[0] < 1 or residual > LIKELY_TONE or np.median(fits.of_gain) > OF_GAIN:
         return []
     power = float(np.exp(pooled.value[0]))
     strength = max(power, 1 / power)
     if strength < LEAST_POWER:
         return []
-    measured = (
-        f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {rest:.2f} of the best affine map's residual"
+    text = (
+        f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {residual:.2f} of the best affine map's residual"
     )
-    verdict = verdict_of(strength > CERTAIN_POWER and rest < CERTAIN_TONE)
-    values = {"power": power, "power_error": power * pooled.half_width[0], "rest_ratio": rest}
-    return [Finding(name, QUESTION, verdict, measured, values, _power_advice(power)) for name in samples]
+    verdict = verdict_of(strength > CERTAIN_POWER and residual < CERTAIN_TONE)
+    values = {"power": power, "power_error": power * pooled.half_width[0], "rest_ratio": residual}
+    return [Finding(name, QUESTION, verdict, text, values, _power_advice(power)) for name in samples]
 
 
 def _power_advice(power: float) -> str:
@@ -195,9 +197,9 @@ def _video_range(samples: Mapping[str, Sample], fits: ToneFits) -> list[Finding]
     Both constants have to be met in each channel, and the cut must be seen: a milky or a dark rendering has an offset too.
     """
     if all(map(_is_squeezed, samples.values())):
-        what, slope, black_255 = "squeezed into 16..235", VIDEO_SLOPE, VIDEO_BLACK
+        state, slope, black_255 = "squeezed into 16..235", VIDEO_SLOPE, VIDEO_BLACK
     elif all(map(_is_stretched, samples.values())):
-        what = "stretched from 16..235 to 0..255 although they were full range"
+        state = "stretched from 16..235 to 0..255 although they were full range"
         slope, black_255 = 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE
     else:
         return []
@@ -206,10 +208,10 @@ def _video_range(samples: Mapping[str, Sample], fits: ToneFits) -> list[Finding]
     if gain > LARGEST_RANGE_GAIN or off_255 >= LIKELY_BLACK_255:
         return []
     values = {"slope": float(np.median(fits.slope)), "intercept_255": float(np.median(fits.intercept_255))}
-    measured = f"levels are {what}: rendered = {values['slope']:.2f} x truth {values['intercept_255']:+.1f}, in each channel"
+    text = f"levels are {state}: rendered = {values['slope']:.2f} x truth {values['intercept_255']:+.1f}, in each channel"
     advice = "convert between full and limited range exactly once; mark the range in the video"
     verdict = verdict_of(off_255 < CERTAIN_BLACK_255)
-    return [Finding(name, "value range", verdict, measured, values, advice) for name in samples]
+    return [Finding(name, "value range", verdict, text, values, advice) for name in samples]
 
 
 def _is_squeezed(sample: Sample) -> bool:

@@ -36,27 +36,27 @@ def drop_idle(
     views: Mapping[str, ViewFrames],
     findings: Sequence[Finding],
     least: float,
-    seen: Callable[[Image8], Array32] = levels_of,
+    features: Callable[[Image8], Array32] = levels_of,
 ) -> list[Finding]:
     """Drop the findings of views in which they explain little of the error: an honest bad rendering has such changes too.
 
     Args:
         findings: in the order in which they are undone.
         least: share of the squared error that the findings of a view explain together, see `explained_share`.
-        seen: frame -> what is compared of it.
+        features: frame -> what is compared of it.
 
     Returns:
         The others, by view.
     """
-    kept: list[Finding] = []
+    clear_findings: list[Finding] = []
     for name, view in views.items():
         of_view = [finding for finding in findings if finding.subject == name]
-        if of_view and explained_share(view, of_view, seen) >= least:
-            kept += of_view
-    return kept
+        if of_view and explained_share(view, of_view, features) >= least:
+            clear_findings += of_view
+    return clear_findings
 
 
-def explained_share(view: ViewFrames, findings: Sequence[Finding], seen: Callable[[Image8], Array32]) -> float:
+def explained_share(view: ViewFrames, findings: Sequence[Finding], features: Callable[[Image8], Array32]) -> float:
     """Return how much of the squared error of a view its findings explain, 0 to 1 or a little below.
 
     Reading:
@@ -72,6 +72,6 @@ def explained_share(view: ViewFrames, findings: Sequence[Finding], seen: Callabl
     errors = []
     for version in (view, without, twice):
         pairs = version.pairs(frames)
-        errors.append(np.mean([np.square(seen(rendered) - seen(truth)).mean() for rendered, truth in pairs]))
+        errors.append(np.mean([np.square(features(rendered) - features(truth)).mean() for rendered, truth in pairs]))
     as_it_is, none, double = errors
     return float((double - none) / 4 / max(as_it_is, 1e-9))
