@@ -130,17 +130,17 @@ def _rows(cloud: GaussianCloud, degree: int | None, name: str) -> dict[str, Arra
         raise RenderError(f"{name}: wanted at least one Gaussian, got an empty cloud; omit this instant")
     values = {key: tensor.detach().cpu().numpy() for key, tensor in cloud.parameters().items()}
     sh = values.pop("sh")
-    values = {key: each.astype(np.float64) for key, each in values.items()}  # so that activations are rounded once
-    kept = (min(cloud.degree if degree is None else degree, cloud.degree, HIGHEST_DEGREE) + 1) ** 2
+    values = {key: array.astype(np.float64) for key, array in values.items()}  # so that activations are rounded once
+    n_terms = (min(cloud.degree if degree is None else degree, cloud.degree, HIGHEST_DEGREE) + 1) ** 2
     with np.errstate(over="ignore", invalid="ignore"):
         turns = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
         opacity = 1 / (1 + np.exp(-values["opacity_logits"]))
         wide = {"POSITION": values["means"], ROTATION: np.roll(turns, -1, axis=1), SCALE: np.exp(values["log_scales"])}
         wide |= {OPACITY: opacity[:, None], "COLOR_0": _fallback_colours(sh[:, 0], opacity)} | {
-            term: sh[:, n] for n, term in enumerate(TERMS[:kept])
+            term: sh[:, n] for n, term in enumerate(TERMS[:n_terms])
         }
-        rows = {key: each.astype(np.float32) for key, each in wide.items()}
-    broken = [key for key, each in rows.items() if not np.isfinite(each).all()]
+        rows = {key: array.astype(np.float32) for key, array in wide.items()}
+    broken = [key for key, row in rows.items() if not np.isfinite(row).all()]
     if broken:
         raise RenderError(f"{name}: wanted finite numbers, got others in {broken[0]}; the fit diverged, fit again")
     return rows
@@ -183,9 +183,9 @@ def _animation(parts: _Parts, frames: Sequence[int], fps: float) -> dict[str, An
     samplers: list[dict[str, Any]] = []
     for n in range(len(frames)):
         keys = sorted({0.0, starts[n], starts[n + 1]})
-        shown = [starts[n] <= time and (time < starts[n + 1] or n == len(frames) - 1) for time in keys]
+        visibility = [starts[n] <= time and (time < starts[n + 1] or n == len(frames) - 1) for time in keys]
         times = parts.add(np.array(keys, np.float32)[:, None], of_vertices=False, has_bounds=True)
-        scales = parts.add(np.repeat(np.array(shown, np.float32)[:, None], 3, axis=1), of_vertices=False)
+        scales = parts.add(np.repeat(np.array(visibility, np.float32)[:, None], 3, axis=1), of_vertices=False)
         samplers.append({"input": times, "output": scales, "interpolation": "STEP"})
     channels = [{"sampler": n, "target": {"node": n + 1, "path": "scale"}} for n in range(len(frames))]
     return {"name": "sequence", "samplers": samplers, "channels": channels}

@@ -72,9 +72,9 @@ def read_glb(path: Path, mesh: int) -> GaussianCloud:
     opened = _open(path)
     try:
         (primitive,) = opened.document["meshes"][mesh]["primitives"]
-        found, attributes = {**KERNEL, **primitive["extensions"][EXTENSION]}, primitive["attributes"]
-        if found != KERNEL:
-            raise _unlike(path, f"{', '.join(f'{key} {value}' for key, value in found.items() if KERNEL.get(key) != value)}")
+        kernel, attributes = {**KERNEL, **primitive["extensions"][EXTENSION]}, primitive["attributes"]
+        if kernel != KERNEL:
+            raise _unlike(path, f"{', '.join(f'{key} {value}' for key, value in kernel.items() if KERNEL.get(key) != value)}")
         terms = [name for name in attributes if name in TERMS]
         with path.open("rb") as file:
             values = {name: _values(opened, attributes[name], file) for name in ("POSITION", ROTATION, SCALE, OPACITY, *terms)}
@@ -84,7 +84,7 @@ def read_glb(path: Path, mesh: int) -> GaussianCloud:
         opacity = values[OPACITY].astype(np.float64)[:, 0].clip(LEAST, MOST_OPACITY)
         parts = [values["POSITION"], np.log(values[SCALE].clip(LEAST)), np.roll(values[ROTATION], 1, axis=1)]
         parts += [np.log(opacity / (1 - opacity)), sh]
-        cloud = GaussianCloud(*(torch.from_numpy(np.ascontiguousarray(each, np.float32)) for each in parts))
+        cloud = GaussianCloud(*(torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in parts))
     except (OSError, *LIKE_A_BROKEN_DOCUMENT) as error:
         raise _unlike(path, f"mesh {mesh} that cannot be read, {type(error).__name__} {error}") from error
     if not all(tensor.isfinite().all() for tensor in cloud.parameters().values()) or (values[SCALE] < 0).any():

@@ -67,7 +67,7 @@ def tracked_methods(run: MeasuredRun, name: str) -> list[TrackedMethod]:
     protocol = {"scene": run.scene, "protocol_sha256": run.protocol.sha256, **_flat(asdict(run.protocol))}
     tracked = []
     for label in run.labels:
-        rows = table[[one == label for one in labels]]
+        rows = table[[row_label == label for row_label in labels]]
         framed = rows[rows["frame"] >= 0].groupby(["metric", "frame"], sort=False)["value"].mean().reset_index()
         curves: dict[str, list[tuple[int, float]]] = {}
         for metric, frame, value in zip(framed["metric"], framed["frame"], framed["value"], strict=True):

@@ -82,17 +82,17 @@ def calibrations(
 
     for label in methods:
         find_method(label)
-    wanted = parse_variants(variants, depths)
-    opened = {each: _open(each, reading) for each in wanted}
-    first = opened[wanted[0]]
+    choices = parse_variants(variants, depths)
+    opened = {variant: _open(variant, reading) for variant in choices}
+    first = opened[choices[0]]
     terms = load_protocol(protocol) if protocol else suggest_protocol(first)
     terms = replace(terms, synthesis=replace(terms.synthesis, calibration=None))  # each as it is given
-    for each, capture in opened.items():
-        require_same_frames(wanted[0], first, each, capture, terms)
-    for each, capture in opened.items():
-        measure(plan_run(RunRequest(engine.place(out) / each.name, capture, terms, methods, depth)), engine)
-    reference = wanted[0].name
-    by_variant = compare_variants(out, reference, [variant.name for variant in wanted[1:]])
+    for variant, capture in opened.items():
+        require_same_frames(choices[0], first, variant, capture, terms)
+    for variant, capture in opened.items():
+        measure(plan_run(RunRequest(engine.place(out) / variant.name, capture, terms, methods, depth)), engine)
+    reference = choices[0].name
+    by_variant = compare_variants(out, reference, [variant.name for variant in choices[1:]])
     by_pair = {f"{method}: {name} against {reference}": rows for (name, method), rows in by_variant.items()}
     write_text(out / "calibrations.csv", differences_csv(by_pair, ("value", f"value of {reference}")))
     print(costs_text(reference, by_variant))
@@ -108,11 +108,11 @@ def parse_variants(variants: Sequence[str], depths: Sequence[str]) -> list[Varia
     if not folders:
         raise CommandError("wanted NAME=CAPTURE of at least one capture, got none; give e.g. given=room refined=room_refined")
     usual = next(iter(folders.values()))
-    found = [Variant(name, path, maps.get(name)) for name, path in folders.items()]
-    found += [Variant(name, usual, folder) for name, folder in maps.items() if name not in folders]
-    if len(found) < 2:
-        raise CommandError(f"wanted at least two variants, got {found[0].name}; add NAME=CAPTURE, or --depths NAME=DIR")
-    return found
+    choices = [Variant(name, path, maps.get(name)) for name, path in folders.items()]
+    choices += [Variant(name, usual, folder) for name, folder in maps.items() if name not in folders]
+    if len(choices) < 2:
+        raise CommandError(f"wanted at least two variants, got {choices[0].name}; add NAME=CAPTURE, or --depths NAME=DIR")
+    return choices
 
 
 def _pairs(words: Sequence[str]) -> dict[str, Path]:
@@ -129,7 +129,7 @@ def _open(variant: Variant, reading: CaptureOptions) -> Capture:
     return replace(reading, depth=variant.depth or reading.depth).open(variant.path)
 
 
-def require_same_frames(one: Variant, first: Capture, other: Variant, second: Capture, protocol: Protocol) -> None:
+def require_same_frames(reference: Variant, first: Capture, variant: Variant, second: Capture, protocol: Protocol) -> None:
     """Refuse a variant whose test views have other pictures, before hours are spent on it.
 
     Raises:
@@ -138,11 +138,11 @@ def require_same_frames(one: Variant, first: Capture, other: Variant, second: Ca
     start = protocol.frames.start
     for view in protocol.views.test:
         if view not in second.camera_names:
-            raise CaptureError(f"{other.path}: wanted the test view {view}, got {', '.join(second.camera_names)}; add it")
+            raise CaptureError(f"{variant.path}: wanted the test view {view}, got {', '.join(second.camera_names)}; add it")
         if not np.array_equal(first.frame(view, start), second.frame(view, start)):
             raise CaptureError(
-                f"{other.path}: wanted the frames of {one.path}, but frame {start} of {view} differs (another lens model is "
-                "undistorted to other pictures); undistort once, and calibrate the pinhole videos"
+                f"{variant.path}: wanted the frames of {reference.path}, but frame {start} of {view} differs (another lens "
+                "model is undistorted to other pictures); undistort once, and calibrate the pinhole videos"
             )
 
 

@@ -58,8 +58,8 @@ class MapFiles:
             CaptureError: maps that are not there or cannot be read.
         """
         if not 0 <= start <= stop <= self.n_frames:
-            wanted = f"wanted depth maps {start}..{stop - 1} of {self.camera.name}"
-            raise CaptureError(f"{self.files[0].parent}: {wanted}, got {self.n_frames}; choose other frames or add maps")
+            request = f"wanted depth maps {start}..{stop - 1} of {self.camera.name}"
+            raise CaptureError(f"{self.files[0].parent}: {request}, got {self.n_frames}; choose other frames or add maps")
         stack = read_stack(self.files[0]) if len(self.files) == 1 else None
         for frame in range(start, stop):
             values = read_map(self.files[frame]) if stack is None else stack[frame]
@@ -67,16 +67,16 @@ class MapFiles:
 
     def _as_z(self, values: NDArray[np.floating]) -> Depth:
         with np.errstate(invalid="ignore"):
-            known = np.isfinite(values) & (values > 0)
-        depth = np.where(known, values, 0) * self.scale
+            mask = np.isfinite(values) & (values > 0)
+        depth = np.where(mask, values, 0) * self.scale
         return (depth * z_per_distance(self.camera, depth.shape) if self.is_distance else depth).astype(np.float32)
 
 
 def z_per_distance(camera: Camera, shape: tuple[int, ...]) -> Array:
     """Z of a point at distance 1 on the ray of each pixel of a map of a camera's view, (h, w)."""
-    seen = camera.resized(shape[1], shape[0])
+    view = camera.resized(shape[1], shape[0])
     u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    x, y = (u - seen.K[0, 2]) / seen.K[0, 0], (v - seen.K[1, 2]) / seen.K[1, 1]
+    x, y = (u - view.K[0, 2]) / view.K[0, 0], (v - view.K[1, 2]) / view.K[1, 1]
     return 1 / np.sqrt(x * x + y * y + 1)
 
 
@@ -92,19 +92,19 @@ def find_maps(folder: Path, camera_names: tuple[str, ...]) -> Mapping[str, tuple
     for name in camera_names:
         inner = sorted(file for file in (folder / name).glob("*") if file.suffix.lower() in ENDINGS)
         single = sorted({*(folder / f"{name}{ending}" for ending in ENDINGS), *folder.glob(f"{name}.*{COLMAP_ENDING}")})
-        found = [file for file in single if file.is_file()]
-        if (inner and found) or len(found) > 1 or len({file.suffix.lower() for file in inner}) > 1:
-            kinds = ", ".join(str(file.relative_to(folder)) for file in [*found, *inner[:2]])
+        files = [file for file in single if file.is_file()]
+        if (inner and files) or len(files) > 1 or len({file.suffix.lower() for file in inner}) > 1:
+            kinds = ", ".join(str(file.relative_to(folder)) for file in [*files, *inner[:2]])
             raise CaptureError(
                 f"{folder}: wanted one kind of depth maps for {name}, got {kinds}; keep one kind in --depth's folder"
             )
-        if inner or found:
-            maps[name] = _in_order(inner) if inner else tuple(found)
+        if inner or files:
+            maps[name] = _in_order(inner) if inner else tuple(files)
     if not maps:
-        there = ", ".join(sorted(entry.name for entry in folder.iterdir())[:6]) or "nothing"
+        names = ", ".join(sorted(entry.name for entry in folder.iterdir())[:6]) or "nothing"
         raise CaptureError(
             f"{folder}: wanted depth as CAM/FRAME.EXT or CAM.EXT of {', '.join(camera_names[:4])} ... "
-            f"({', '.join(ENDINGS)}), got {there}; name files after the cameras"
+            f"({', '.join(ENDINGS)}), got {names}; name files after the cameras"
         )
     return maps
 

@@ -96,7 +96,7 @@ def solve_views(folder: Path, n_views: int, cameras: Sequence[Camera] | None) ->
     names = [f"{index:06d}.png" for index in indices]
     for name in names:
         (work / "images" / name).hardlink_to(folder / "views" / name)
-    lenses = path_cameras and [(one.K[0, 0], one.K[1, 1], one.K[0, 2], one.K[1, 2]) for one in path_cameras]
+    lenses = path_cameras and [(camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]) for camera in path_cameras]
     (work / "job.json").write_text(json.dumps({"images": names, "cameras": lenses, "overlap": OVERLAP}), encoding="utf-8")
     result = _run(work)
     poses = {int(index): pose for index, pose in result["poses"].items()}
@@ -180,8 +180,8 @@ def _in_order(poses: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
 def _measure(path: RenderedPath) -> list[Value]:
     if path.folder is None:
         raise MetricError("COLMAP consistency: wanted the images of the path, got none; add its metrics to the protocol")
-    measured = solve_views(path.folder, len(path.cameras), path.cameras)
-    return whole_path(NAMES, measured.registered, measured.track_length, measured.matches)
+    consistency = solve_views(path.folder, len(path.cameras), path.cameras)
+    return whole_path(NAMES, consistency.registered, consistency.track_length, consistency.matches)
 
 
 _SCORER = PathScorer(NAMES, _measure, wants_images=True)

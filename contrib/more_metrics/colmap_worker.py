@@ -35,16 +35,18 @@ def run_job(folder: Path) -> dict[str, Any]:
     pycolmap.Database.open(database).close()
     _extract(database, folder / "images", names, job["cameras"])
     _match(database, job["overlap"])
-    model = max(_models(folder, database), key=lambda one: (one.num_reg_images(), one.num_points3D()), default=None)
+    model = max(
+        _models(folder, database), key=lambda candidate: (candidate.num_reg_images(), candidate.num_points3D()), default=None
+    )
     result = {"matches": _neighbour_matches(database, names), "poses": {}, "tracks": []}
     if model is None or not model.num_points3D():
         return result
     places = {image_id: names.index(image.name) for image_id, image in model.images.items()}
     poses = {image_id: image.cam_from_world() for image_id, image in model.images.items() if image.has_pose}
     centres = {image_id: model.images[image_id].projection_center().tolist() for image_id in poses}
-    tracks = [sorted({places[each.image_id] for each in point.track.elements}) for point in model.points3D.values()]
+    tracks = [sorted({places[element.image_id] for element in point.track.elements}) for point in model.points3D.values()]
     return result | {
-        "poses": {places[one]: [pose.rotation.matrix().tolist(), centres[one]] for one, pose in poses.items()},
+        "poses": {places[image_id]: [pose.rotation.matrix().tolist(), centres[image_id]] for image_id, pose in poses.items()},
         "tracks": tracks,
     }
 

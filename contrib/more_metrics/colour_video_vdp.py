@@ -82,8 +82,8 @@ def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_
 
         def _shown(self, image: Image8, device: Any, colorspace: str) -> "torch.Tensor":
             levels = torch.tensor(image).permute(2, 0, 1)[None, :, None].to(device).float() / 255
-            shown: torch.Tensor = self.apply_dm_and_color_transform(levels, colorspace)
-            return shown
+            displayed: torch.Tensor = self.apply_dm_and_color_transform(levels, colorspace)
+            return displayed
 
     with torch.inference_mode():
         quality, _ = metric.predict_video_source(Videos(metric.display_photometry))

@@ -195,8 +195,8 @@ class DistsScorer:
 
 def _to_truth(rendered: Image, truth: TruthFrame, device: str, mask: Mask | None = None) -> float:
     load_dists_weights(device)  # before the networks' work
-    theirs = truth.once(dists_features, lambda: dists_features(truth.image, device))
-    return dists_between(dists_features(rendered, device), theirs, mask)
+    truth_features = truth.once(dists_features, lambda: dists_features(truth.image, device))
+    return dists_between(dists_features(rendered, device), truth_features, mask)
 
 
 def _weights_file(_options: MetricOptions) -> Path:

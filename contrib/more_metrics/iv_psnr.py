@@ -83,8 +83,8 @@ def _squared_errors(
         count_inside(mask, truth.shape[:2])
     first, second = (np.ascontiguousarray(_eight_bit(image)) for image in (rendered, truth))
     level = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
-    chosen = None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
-    matched, plain, _, n_pixels = _iv_psnr.matched_errors(first, second, chosen, colours == "rgb", kernels.get_threads(), level)
+    region = None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
+    matched, plain, _, n_pixels = _iv_psnr.matched_errors(first, second, region, colours == "rgb", kernels.get_threads(), level)
     return matched, plain, n_pixels
 
 

@@ -61,36 +61,36 @@ def project(K: Array, points_3d: Array) -> Array:
 
 def find_matches(image: Image8, later: Image8, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Match each point, with a forward-backward check."""
-    grey, later_grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (image, later))
-    found, there, _ = cv2.calcOpticalFlowPyrLK(grey, later_grey, points, None, **LUCAS_KANADE)
-    back, again, _ = cv2.calcOpticalFlowPyrLK(later_grey, grey, found, None, **LUCAS_KANADE)
-    kept = (there.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < THERE_AND_BACK_PX)
-    return found, kept
+    grey, later_grey = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in (image, later))
+    matches, status, _ = cv2.calcOpticalFlowPyrLK(grey, later_grey, points, None, **LUCAS_KANADE)
+    back, again, _ = cv2.calcOpticalFlowPyrLK(later_grey, grey, matches, None, **LUCAS_KANADE)
+    is_match = (status.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < THERE_AND_BACK_PX)
+    return matches, is_match
 
 
 def depth_layers(depths: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the number of the layer of each depth, 0 for the nearest and -1 for unknown: k-means, which begins at quantiles."""
     layers = np.full(len(depths), -1)
-    known = depths[depths > 0]
-    starts = np.unique(np.quantile(known, (np.arange(LAYERS) + 0.5) / LAYERS)) if known.size else known
+    depths_known = depths[depths > 0]
+    starts = np.unique(np.quantile(depths_known, (np.arange(LAYERS) + 0.5) / LAYERS)) if depths_known.size else depths_known
     if not starts.size:
         return layers
-    labels = np.digitize(known, (starts[1:] + starts[:-1]) / 2).astype(np.int32)
+    labels = np.digitize(depths_known, (starts[1:] + starts[:-1]) / 2).astype(np.int32)
     labels = np.unique(labels, return_inverse=True)[1].astype(np.int32)
     if labels.max():
         rounds = (cv2.TERM_CRITERIA_COUNT, 100, 0.0)
-        _, labels, _ = cv2.kmeans(known, int(labels.max()) + 1, labels, rounds, 1, cv2.KMEANS_USE_INITIAL_LABELS)
+        _, labels, _ = cv2.kmeans(depths_known, int(labels.max()) + 1, labels, rounds, 1, cv2.KMEANS_USE_INITIAL_LABELS)
     layers[depths > 0] = labels.ravel()
     return layers
 
 
 def local_pose(
-    points_3d: Array, found: NDArray[np.float32], K: Array, motion: Array, error_px: float = PNP_ERROR_PX
+    points_3d: Array, matches: NDArray[np.float32], K: Array, motion: Array, error_px: float = PNP_ERROR_PX
 ) -> tuple[Array, Array] | None:
     """Rotation vector and translation of a region, refined from the path's own; None if its matches do not determine them."""
-    if len(found) < LEAST_MATCHES:
+    if len(matches) < LEAST_MATCHES:
         return None
-    pixels, start = found.astype(np.float64) + 0.5, Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+    pixels, start = matches.astype(np.float64) + 0.5, Rotation.from_matrix(motion[:3, :3]).as_rotvec()
     try:
         solved, _, _, inliers = cv2.solvePnPRansac(
             points_3d[:, :3],
@@ -104,7 +104,7 @@ def local_pose(
         )
     except cv2.error:
         return None
-    if not solved or inliers is None or len(inliers) < max(LEAST_MATCHES, LEAST_INLIERS * len(found)):
+    if not solved or inliers is None or len(inliers) < max(LEAST_MATCHES, LEAST_INLIERS * len(matches)):
         return None
     of_pose = inliers.ravel()
     turn, shift = cv2.solvePnPRefineLM(points_3d[of_pose, :3], pixels[of_pose], K, None, start[:, None], motion[:3, 3:].copy())
@@ -115,17 +115,17 @@ def local_pose(
     return turn.ravel(), shift.ravel()
 
 
-def bends_px(points_3d: Array, found: NDArray[np.float32], start: NDArray[np.float32], camera: Camera, motion: Array) -> Array:
+def bends_px(points_3d: Array, matches: NDArray[np.float32], start: NDArray[np.float32], camera: Camera, motion: Array) -> Array:
     """Median distance of the matches in each window from the pose of most of all matches; NaN if they are too few."""
-    agreed = local_pose(points_3d, found, camera.K, motion, AGREED_PX)
+    agreed = local_pose(points_3d, matches, camera.K, motion, AGREED_PX)
     if agreed is None:
         return np.full(WINDOWS, np.nan)
     moved = transformed(Rotation.from_rotvec(agreed[0]).as_matrix(), points_3d[:, :3]) + agreed[1]
-    distances = np.linalg.norm(project(camera.K, moved) - found, axis=1)
+    distances = np.linalg.norm(project(camera.K, moved) - matches, axis=1)
     column, row = start.astype(int).T
     window = row * WINDOWS[0] // camera.height * WINDOWS[1] + column * WINDOWS[1] // camera.width
-    inside = (distances[window == each] for each in range(WINDOWS[0] * WINDOWS[1]))
-    return np.array([np.median(each) if len(each) >= LEAST_MATCHES else np.nan for each in inside]).reshape(WINDOWS)
+    inside = (distances[window == number] for number in range(WINDOWS[0] * WINDOWS[1]))
+    return np.array([np.median(group) if len(group) >= LEAST_MATCHES else np.nan for group in inside]).reshape(WINDOWS)
 
 
 NAMES = ("SGC_rotation", "SGC_translation", "SGC_measured")
@@ -141,7 +141,7 @@ class SpatialConsistency:
     Attributes:
         rotation: variance of the regions' rotations about their mean, degrees squared.
         translation: of their translations, in squares of the step that the cameras take; None where these only turn.
-        measured: share of the steps at which there were two regions to compare.
+        measured_share: share of the steps at which there were two regions to compare.
         bend_px: where: median distance of the matches in each window of the picture from where the pose that most regions agree
             on puts them, pixels, (6, 8); NaN without matches.
         stride: how many poses on each is compared with.
@@ -150,7 +150,7 @@ class SpatialConsistency:
 
     rotation: float
     translation: float | None
-    measured: float
+    measured_share: float
     bend_px: Array
     stride: int
     steps: tuple[tuple[int, float, float | None], ...]
@@ -201,20 +201,22 @@ def _measured(cameras: Sequence[Camera], look: Look) -> SpatialConsistency:
         raise MetricError(f"SGC compares poses: wanted at least 2 on the path, got {len(cameras)}; add poses")
     points = match_grid(cameras[0])
     stride = _stride(cameras, look, points)
-    found = {index: _step(cameras, look, points, index, index + stride) for index in range(len(cameras) - stride)}
-    steps = {index: step for index, step in found.items() if isinstance(step, _Step)}
+    outcomes = {index: _step(cameras, look, points, index, index + stride) for index in range(len(cameras) - stride)}
+    steps = {index: step for index, step in outcomes.items() if isinstance(step, _Step)}
     if not steps:
-        reasons = [reason for reason in found.values() if isinstance(reason, str)]
+        reasons = [reason for reason in outcomes.values() if isinstance(reason, str)]
         most = max(sorted(set(reasons)), key=reasons.count)
-        raise MetricError(f"SGC: none of {len(found)} steps can be measured: at {reasons.count(most)} {most}")
+        raise MetricError(f"SGC: none of {len(outcomes)} steps can be measured: at {reasons.count(most)} {most}")
     translations = [step.translation for step in steps.values() if step.translation is not None]
     bends = np.array([step.bend_px for step in steps.values()])
-    known = np.isfinite(bends)
+    is_known = np.isfinite(bends)
     return SpatialConsistency(
         rotation=float(np.mean([step.rotation for step in steps.values()])),
         translation=float(np.mean(translations)) if translations else None,
-        measured=len(steps) / len(found),
-        bend_px=np.where(known.any(axis=0), np.where(known, bends, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan),
+        measured_share=len(steps) / len(outcomes),
+        bend_px=np.where(
+            is_known.any(axis=0), np.where(is_known, bends, 0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1), np.nan
+        ),
         stride=stride,
         steps=tuple((index, step.rotation, step.translation) for index, step in steps.items()),
     )
@@ -227,14 +229,14 @@ def _stride(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32]) 
 
     def shift_px(stride: int) -> float:
         shifts = []
-        for index, (points_3d, known) in lifted.items():
-            other = index + stride if index + stride < len(cameras) else index - stride
-            if other >= 0 and known.any():
-                moved = transformed(rigid_between(cameras[index], cameras[other]), points_3d[known])
-                shifts.append(np.median(np.linalg.norm(project(cameras[other].K, moved) - points[known], axis=1)))
+        for index, (points_3d, mask) in lifted.items():
+            partner = index + stride if index + stride < len(cameras) else index - stride
+            if partner >= 0 and mask.any():
+                moved = transformed(rigid_between(cameras[index], cameras[partner]), points_3d[mask])
+                shifts.append(np.median(np.linalg.norm(project(cameras[partner].K, moved) - points[mask], axis=1)))
         return float(np.median(shifts)) if shifts else 0.0
 
-    if not any(known.any() for _, known in lifted.values()):
+    if not any(mask.any() for _, mask in lifted.values()):
         raise MetricError("SGC: the path has no known depth; prepare a run with depth, or give each pose its depth")
     shifts = {stride: shift_px(stride) for stride in range(1, len(cameras))}
     enough = [stride for stride, shift in shifts.items() if shift >= LEAST_SHIFT_PX]
@@ -251,22 +253,22 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     before, after = cameras[first], cameras[second]
     (image, depth), (later_image, later_depth) = look(first), look(second)
     depth, later_depth = checked_depth(before, depth), checked_depth(after, later_depth)
-    found, kept = find_matches(to_8_bit(image), to_8_bit(later_image), points)
-    points_3d, known = lift(before, depth, points)
-    column, row = np.rint(found).astype(int).T
-    kept &= known & (column >= 0) & (column < after.width) & (row >= 0) & (row < after.height)
-    points_3d, found, start, column, row = points_3d[kept], found[kept], points[kept], column[kept], row[kept]
-    if not kept.any():
+    matches, mask = find_matches(to_8_bit(image), to_8_bit(later_image), points)
+    points_3d, is_known = lift(before, depth, points)
+    column, row = np.rint(matches).astype(int).T
+    mask &= is_known & (column >= 0) & (column < after.width) & (row >= 0) & (row < after.height)
+    points_3d, matches, start, column, row = points_3d[mask], matches[mask], points[mask], column[mask], row[mask]
+    if not mask.any():
         return "no point with a depth is matched"
     motion = rigid_between(before, after)
-    asked = np.median(np.linalg.norm(project(after.K, transformed(motion, points_3d)) - start, axis=1))
-    if np.median(np.linalg.norm(found - start, axis=1)) < STILL * asked:
-        return f"the images are static while the cameras move them by {asked:.1f} px"
+    expected_px = np.median(np.linalg.norm(project(after.K, transformed(motion, points_3d)) - start, axis=1))
+    if np.median(np.linalg.norm(matches - start, axis=1)) < STILL * expected_px:
+        return f"the images are static while the cameras move them by {expected_px:.1f} px"
     layers = depth_layers(later_depth[row, column])
     poses = [
         pose
         for layer in range(layers.max() + 1)
-        if (pose := local_pose(points_3d[layers == layer], found[layers == layer], after.K, motion)) is not None
+        if (pose := local_pose(points_3d[layers == layer], matches[layers == layer], after.K, motion)) is not None
     ]
     if len(poses) < 2:
         return f"{len(poses)} of {layers.max() + 1} layers of depth have matches that determine a pose, wanted 2"
@@ -276,18 +278,18 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     return _Step(
         rotation=float(np.square(np.degrees(angles)).mean()),
         translation=float(np.square(shifts - shifts.mean(axis=0)).sum(axis=1).mean()) / step**2 if step else None,
-        bend_px=bends_px(points_3d, found, start, after, motion),
+        bend_px=bends_px(points_3d, matches, start, after, motion),
     )
 
 
 def _measure(path: RenderedPath) -> list[Value]:
     """Return the variances of every step, at its first pose, and of the whole path."""
-    measured = _measured(path.cameras, path.look)
+    consistency = _measured(path.cameras, path.look)
     rotation, translation, share = NAMES
-    values: list[Value] = [(rotation, pose, value) for pose, value, _ in measured.steps]
-    values += [(translation, pose, value) for pose, _, value in measured.steps if value is not None]
-    values += whole_path((rotation, share), measured.rotation, measured.measured)
-    return values if measured.translation is None else [*values, *whole_path((translation,), measured.translation)]
+    values: list[Value] = [(rotation, pose, value) for pose, value, _ in consistency.steps]
+    values += [(translation, pose, value) for pose, _, value in consistency.steps if value is not None]
+    values += whole_path((rotation, share), consistency.rotation, consistency.measured_share)
+    return values if consistency.translation is None else [*values, *whole_path((translation,), consistency.translation)]
 
 
 _SCORER = PathScorer(NAMES, _measure, "the cameras of the path only turn: no translations to compare", wants_images=True)

@@ -72,8 +72,8 @@ class Clip:
         if not self.moves or self.depths is None:
             return np.zeros(len(self.truth))
         middle = self.cameras[len(self.cameras) // 2]
-        known = self.depths[self.depths > 0]
-        point = middle.centre + middle.axis * (float(np.median(known)) if known.size else 1.0)
+        depths = self.depths[self.depths > 0]
+        point = middle.centre + middle.axis * (float(np.median(depths)) if depths.size else 1.0)
         rays = np.stack([camera.centre - point for camera in self.cameras])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return np.asarray(np.rad2deg(np.arccos(np.clip(rays @ rays[0], -1.0, 1.0))))
@@ -136,15 +136,15 @@ def _read_clip(file: Path) -> Clip:
         raise CaptureError(
             f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the study again"
         ) from error
-    cameras = tuple(Camera.from_json(f"{record['name']}.{index}", each) for index, each in enumerate(record["cameras"]))
+    cameras = tuple(Camera.from_json(f"{record['name']}.{index}", values) for index, values in enumerate(record["cameras"]))
     sources = tuple(
         SourceClip(
-            Camera.from_json(each.pop("name"), each),
+            Camera.from_json(values.pop("name"), values),
             arrays[f"images{index}"],
             arrays[f"depths{index}"],
             arrays[f"confidences{index}"],
         )
-        for index, each in enumerate(record["sources"])
+        for index, values in enumerate(record["sources"])
     )
     depths, rendering = arrays.get("depths"), arrays.get("rendering")
     return Clip(record["name"], arrays["truth"], cameras, depths, sources, record["units_per_metre"], rendering)

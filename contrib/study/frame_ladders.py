@@ -70,8 +70,8 @@ def freeze(frames: Image8, percent: float, seed: int = 0) -> Image8:
     """Frozen frames: `percent` of all frames but the first, chosen by the seed, repeat what was shown before them."""
     order = 1 + np.random.default_rng(seed).permutation(len(frames) - 1)
     frozen = {*order[: round(percent / 100 * len(order))].tolist()}
-    shown = np.maximum.accumulate([0 if t in frozen else t for t in range(len(frames))])
-    return frames[shown]
+    sources = np.maximum.accumulate([0 if t in frozen else t for t in range(len(frames))])
+    return frames[sources]
 
 
 def delay(frames: Image8, n_frames: float, _seed: int = 0) -> Image8:

@@ -40,7 +40,9 @@ def absent_kinds(metrics: Sequence[str]) -> Reasons:
     """Reasons for metrics that no clip can have."""
     kinds = ViewMetric | TableMetric | PathMetric
     return {
-        each.name: f"it is of {each.kind}, a clip has frames" for each in select_metrics(metrics) if not isinstance(each, kinds)
+        metric.name: f"it is of {metric.kind}, a clip has frames"
+        for metric in select_metrics(metrics)
+        if not isinstance(metric, kinds)
     }
 
 
@@ -53,8 +55,8 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     select_metrics(named)
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.built_in().items() if metric.group != REGION]
-    return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
+    usual = [name for name, metric in METRICS.built_in().items() if metric.group != REGION]
+    return tuple(dict.fromkeys([*(name for name in usual if ALL in names or name not in COSTLY), *named]))
 
 
 def series_tasks(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]) -> list[Task]:
@@ -116,14 +118,14 @@ def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: 
 
 def measure_views(clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Sequence[str]) -> tuple[Numbers, Reasons]:
     """Measure the frames of some views against the true ones: each metric's number on them, or the reason for its absence."""
-    asked = [metric for metric in select_metrics(metrics) if isinstance(metric, ViewMetric | TableMetric)]
-    usual = [metric.name for metric in asked if metric.name not in COSTLY]
-    parts = [metric.part for metric in asked if isinstance(metric, TableMetric)]
+    selection = [metric for metric in select_metrics(metrics) if isinstance(metric, ViewMetric | TableMetric)]
+    usual = [metric.name for metric in selection if metric.name not in COSTLY]
+    parts = [metric.part for metric in selection if isinstance(metric, TableMetric)]
     tables: dict[str, dict[str, dict[int, float]]] = {}
     numbers: dict[str, list[float]] = {}
     reasons: Reasons = {}
     for number, (clip, frames) in enumerate(zip(clips, rendered, strict=True)):
-        costly = [metric.name for metric in asked if metric.name in COSTLY and not number]
+        costly = [metric.name for metric in selection if metric.name in COSTLY and not number]
         values, absent = _measure_view(clip.truth, frames, [*dict.fromkeys([*usual, *parts])])
         for name in costly:
             every = EVERY if METRICS[name].kind == "frame" else 1
@@ -132,11 +134,11 @@ def measure_views(clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Se
         for name, frame, value in values:
             if frame is not None:
                 tables.setdefault(name, {}).setdefault(str(number), {})[frame] = value
-        for metric in asked:
+        for metric in selection:
             if (pooled := _number(metric, values)) is not None:
                 numbers.setdefault(metric.name, []).append(pooled)
         reasons |= {name: why for name, why in absent.items() if name in metrics}
-    rows, absent = derived_rows([metric for metric in asked if metric.kind == "rig"], tables, MetricOptions())
+    rows, absent = derived_rows([metric for metric in selection if metric.kind == "rig"], tables, MetricOptions())
     pooled_numbers = {name: float(np.mean(values)) for name, values in numbers.items()}
     of_rig = {name: float(np.mean([value for _, _, value in of_metric])) for name, of_metric in rows.items()}
     return pooled_numbers | of_rig, reasons | absent
@@ -182,7 +184,7 @@ def _measure_paths(
         scores = score_path(map(PathPose, clip.cameras, frames, depths, of_frames), metrics=names)
         values += [value for value in scores.values if value[1] is None and value[0] in names]
         reasons |= {name: why for name, why in scores.not_computed.items() if name in names}
-    numbers = {name: [value for other, _, value in values if other == name] for name in names}
+    numbers = {name: [value for metric, _, value in values if metric == name] for name in names}
     return {name: float(np.mean(of_paths)) for name, of_paths in numbers.items() if of_paths}, reasons
 
 

@@ -45,7 +45,7 @@ def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, worker
         "captures": list(dict.fromkeys(table["capture"])),
         "takes": len(takes),
         "options": asdict(options),
-        "ladders": {each.name: _describe(each) for each in ladders},
+        "ladders": {ladder.name: _describe(ladder) for ladder in ladders},
         "metrics": {name: _direction(name) for name in metrics},
         "answers": answers,
         "not_computed": _absences(series, refusals, answers, metrics),
@@ -113,15 +113,15 @@ def _answers(table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]) -> dic
     for metric in metrics:
         rows = table[(table["ladder"] == ladder.name) & (table["metric"] == metric)]
         sign = -1.0 if METRICS[metric].higher_is_better else 1.0
-        whole = sign * rows.pivot_table(index=["capture", "take", "seed"], columns="strength", values="value").dropna()
-        strengths = [float(strength) for strength in whole.columns]
-        if whole.empty or len(strengths) < len(ladder.strengths):
+        by_strength = sign * rows.pivot_table(index=["capture", "take", "seed"], columns="strength", values="value").dropna()
+        strengths = [float(strength) for strength in by_strength.columns]
+        if by_strength.empty or len(strengths) < len(ladder.strengths):
             continue
         clips: dict[str, list[list[float]]] = {}
-        for (capture, take, _), values in zip(whole.index, whole.to_numpy().tolist(), strict=True):
+        for (capture, take, _), values in zip(by_strength.index, by_strength.to_numpy().tolist(), strict=True):
             clips.setdefault(f"{capture}, {take}", []).append(values)
-        found = answer(strengths, clips)
-        answers[metric] = asdict(found) | {"verdict": found.verdict}
+        result = answer(strengths, clips)
+        answers[metric] = asdict(result) | {"verdict": result.verdict}
     return answers
 
 

@@ -24,10 +24,10 @@ def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None
     heads = {"sees": "worse with strength", "blind": "blind to", "rewards": "better with strength"}
     heads |= {"disputed": "depends on the capture"} if len(studies) > 1 else {"unclear": "one clip: unclear"}
     verdicts = [(metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)]
-    columns = [each for each in heads if each != "unclear" or any("unclear" in found.values() for _, found in verdicts)]
-    lines = [f"| metric | {' | '.join(heads[each] for each in columns)} |", "| --- |" + " --- |" * len(columns)]
-    for metric, found in verdicts:
-        cells = [", ".join(ladder for ladder, verdict in found.items() if verdict == each) or BLANK for each in columns]
+    columns = [head for head in heads if head != "unclear" or any("unclear" in verdict_of.values() for _, verdict_of in verdicts)]
+    lines = [f"| metric | {' | '.join(heads[head] for head in columns)} |", "| --- |" + " --- |" * len(columns)]
+    for metric, verdict_of in verdicts:
+        cells = [", ".join(ladder for ladder, verdict in verdict_of.items() if verdict == head) or BLANK for head in columns]
         lines.append(f"| `{metric}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -38,13 +38,13 @@ def by_ladder_table(studies: Sequence[Study]) -> str:
     lines = ["| degradation | detected by | missed by | better with strength | depends on the capture |"]
     lines.append("| --- | ---: | --- | --- | --- |")
     for ladder in dict.fromkeys(name for study in studies for name in study["ladders"]):
-        found = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
-        seeing = sum(verdict == "sees" for verdict in found.values())
-        others = [
-            ", ".join(f"`{metric}`" for metric, verdict in found.items() if verdict == wanted) or BLANK
-            for wanted in ("blind", "rewards", "disputed")
+        verdict_of = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
+        seeing = sum(verdict == "sees" for verdict in verdict_of.values())
+        cells = [
+            ", ".join(f"`{metric}`" for metric, verdict in verdict_of.items() if verdict == kind) or BLANK
+            for kind in ("blind", "rewards", "disputed")
         ]
-        lines.append(f"| {ladder} | {seeing} of {len(found)} | {' | '.join(others)} |")
+        lines.append(f"| {ladder} | {seeing} of {len(verdict_of)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -55,7 +55,7 @@ def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
         for ladder, answers in study["answers"].items():
             if metric in answers:
                 verdicts.setdefault(ladder, set()).add(answers[metric]["verdict"])
-    return {ladder: found.pop() if len(found) == 1 else "disputed" for ladder, found in verdicts.items()}
+    return {ladder: answers.pop() if len(answers) == 1 else "disputed" for ladder, answers in verdicts.items()}
 
 
 def ladder_table(study: Study) -> str:

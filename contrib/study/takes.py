@@ -154,7 +154,7 @@ def make_takes(out: Path, captures: Sequence[Path], options: StudyOptions, worke
 
 def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, workers: Workers) -> list[Take]:
     scale = options.size / min(capture.cameras[0].size)
-    width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
+    width, height = (2 * round(scale * side / 2) for side in capture.cameras[0].size)
     capture = capture.resized(width, height, "area")
     folder, common = out / "takes" / name, _inputs(capture, options)
     tasks = [
@@ -172,9 +172,9 @@ def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, wor
 
 def _inputs(capture: Capture, options: StudyOptions) -> dict[str, Any]:
     """Dependencies of the clips of a capture; with degraded renderings, also the rendering code."""
-    taken = {"frames": options.frames, "size": options.size, "on": options.on}
+    choices = {"frames": options.frames, "size": options.size, "on": options.on}
     code = code_of(RENDERER, "ggvs_eval.pipelines.online") if options.on == "rendering" else ""
-    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": taken, "code": code}
+    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": choices, "code": code}
 
 
 def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
@@ -239,7 +239,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
     for camera, key in planned.depth_keys.items():
         maps = [store.read(key, frame) for frame in frames]
         images = np.stack(list(capture.frames(camera, frames.start, frames.stop)))
-        depths, confidences = (np.stack([getattr(each, what) for each in maps]) for what in ("depth", "confidence"))
+        depths, confidences = (np.stack([getattr(depth_map, field) for depth_map in maps]) for field in ("depth", "confidence"))
         sources.append(SourceClip(capture.camera(camera), images, depths, confidences))
     return tuple(sources)
 
@@ -258,7 +258,7 @@ def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Wor
     plan = prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
     planned = [plan.plans[name] for name in poses]
     folder = plan.run.path_depth
-    write_path_depth(plan.capture, [(each.target, each.depth_keys) for each in planned], 0, DepthStore(plan.run.depth), folder)
+    write_path_depth(plan.capture, [(view.target, view.depth_keys) for view in planned], 0, DepthStore(plan.run.depth), folder)
     yield from _stretches(plan, planned, [plan.capture.frame(name, 0) for name in poses], 0, options, folder)
 
 

@@ -55,11 +55,11 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
     """
     weights = load_weights(NET, str(truth.device))
     with torch.no_grad():
-        wanted = tapped_layers(network_input_of(truth), LAYERS[NET], weights)
-    found = tapped_layers(network_input_of(image.clamp(0, 1)), LAYERS[NET], weights)
+        truth_layers = tapped_layers(network_input_of(truth), LAYERS[NET], weights)
+    layers = tapped_layers(network_input_of(image.clamp(0, 1)), LAYERS[NET], weights)
     distances = torch.zeros(len(truth), device=truth.device)
-    for layer, (ours, theirs) in enumerate(zip(found, wanted, strict=True)):
-        squared = (functional.normalize(ours, eps=1e-10) - functional.normalize(theirs, eps=1e-10)).square()
+    for layer, (features, truth_features) in enumerate(zip(layers, truth_layers, strict=True)):
+        squared = (functional.normalize(features, eps=1e-10) - functional.normalize(truth_features, eps=1e-10)).square()
         distances = distances + torch.einsum("nchw,c->n", squared, weights[f"head{layer}.weight"]) / squared[0, 0].numel()
     return (distances / (1 + (noise_255(truth) / NOISE_255) ** 2)).mean()
 
@@ -149,9 +149,9 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
         scene's own unit (`reference_depth`), else the loss would depend on the scale of the world. Pixels count where the fused
         depth is known and a view has weight.
     """
-    shown = weights * (depths > 0)
-    blended = weighted_mean_tensor(depths[:, :, None], shown)[:, 0]
-    counted = (fused_depth > 0) & (shown.sum(dim=1) > 1e-3)
+    visible = weights * (depths > 0)
+    blended = weighted_mean_tensor(depths[:, :, None], visible)[:, 0]
+    counted = (fused_depth > 0) & (visible.sum(dim=1) > 1e-3)
     return ((blended - fused_depth).abs() * counted).mean() / depths.shape[1]
 
 
@@ -200,8 +200,8 @@ def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augm
     """
     count = len(views.sources)
     common = np.exp(rng.normal(0, options.gain, 3))
-    each = np.exp(rng.normal(0, options.view_gain, (count, 1))) if rng.random() < options.view_gain_share else np.ones((count, 1))
-    gains = (common * each).astype(np.float32)[:, None, None]  # (K, 1, 1, 3)
+    gain = np.exp(rng.normal(0, options.view_gain, (count, 1))) if rng.random() < options.view_gain_share else np.ones((count, 1))
+    gains = (common * gain).astype(np.float32)[:, None, None]  # (K, 1, 1, 3)
     changed = replace(views, splats=np.clip(views.splats * gains, 0, 1), warps=np.clip(views.warps * gains, 0, 1))
     if rng.random() < options.shift_share:
         changed = displaced(changed, rng.normal(0, options.shift_px, (count, 2)))
@@ -214,7 +214,7 @@ def displaced(views: RawViews, shifts_px: NDArray[np.float64]) -> RawViews:
     """Return each view moved in the target view by (right, down) pixels, (K, 2); the border is repeated."""
 
     def moved(maps: Map) -> Map:
-        return np.stack([_moved(each, *shift) for each, shift in zip(maps, shifts_px, strict=True)])
+        return np.stack([_moved(view_map, *shift) for view_map, shift in zip(maps, shifts_px, strict=True)])
 
     return replace(
         views,
@@ -234,10 +234,10 @@ def _moved(image: Map, right: float, down: float) -> Map:
     return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _blurred(views: RawViews, which: int, sigma_px: float) -> RawViews:
+def _blurred(views: RawViews, index: int, sigma_px: float) -> RawViews:
     splats, warps = views.splats.copy(), views.warps.copy()
     for colours in (splats, warps):
-        colours[which] = cv2.GaussianBlur(colours[which], (0, 0), sigma_px)
+        colours[index] = cv2.GaussianBlur(colours[index], (0, 0), sigma_px)
     return replace(views, splats=splats, warps=warps)
 
 

@@ -29,15 +29,15 @@ ARGUMENTS = """
     """
 
 
-def _training(what: str) -> Callable[..., None]:
+def _training(name: str) -> Callable[..., None]:
     """Return the subcommand of a network, with the options that its training uses."""
-    used = options_class(what)
+    options = options_class(name)
 
     def train(out: Output, training: Any) -> None:
         _require_rooms()
         from ggvs_eval.contrib.training.train_one import train_one
 
-        print(*train_one(what, out, TrainingOptions(**vars(training))), sep="\n")
+        print(*train_one(name, out, TrainingOptions(**vars(training))), sep="\n")
 
     def train_side_by_side(out: Output, training: Any, jobs: int | None = None) -> None:
         _require_rooms()
@@ -45,14 +45,14 @@ def _training(what: str) -> Callable[..., None]:
 
         print(*train_all(out, TrainingOptions(**vars(training)), jobs), sep="\n")
 
-    command: Callable[..., None] = train_side_by_side if what == ALL else train
-    command.__doc__ = ABOUT[what] + ARGUMENTS
-    command.__annotations__["training"] = Annotated[used, tyro.conf.OmitArgPrefixes]
-    command.__defaults__ = (used(), *(command.__defaults__ or ()))
+    command: Callable[..., None] = train_side_by_side if name == ALL else train
+    command.__doc__ = ABOUT[name] + ARGUMENTS
+    command.__annotations__["training"] = Annotated[options, tyro.conf.OmitArgPrefixes]
+    command.__defaults__ = (options(), *(command.__defaults__ or ()))
     return command
 
 
-TRAININGS: dict[str, Callable[..., None]] = {what: _training(what) for what in ABOUT}
+TRAININGS: dict[str, Callable[..., None]] = {name: _training(name) for name in ABOUT}
 
 
 def _require_rooms() -> None:

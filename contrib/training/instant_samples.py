@@ -41,8 +41,8 @@ def stored_arrays(path: Path) -> Iterator[dict[str, Any]]:
 
 def camera_arrays(cameras: Sequence[Camera]) -> dict[str, Any]:
     """Return the cameras as arrays: a row of K, pose, size and depth range each, and their names."""
-    rows = [[*each.K.ravel(), *each.world_to_camera.ravel(), *each.size, each.near, each.far] for each in cameras]
-    return {"cameras": np.array(rows), "names": np.array([each.name for each in cameras])}
+    rows = [[*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far] for camera in cameras]
+    return {"cameras": np.array(rows), "names": np.array([camera.name for camera in cameras])}
 
 
 def stored_cameras(arrays: Mapping[str, Any]) -> list[Camera]:

@@ -99,7 +99,7 @@ def pour_weights(path: Path, network: nn.Module) -> int:
         Pixels that they have learned from, 0 if the file does not say.
     """
     completed = getattr(network, "completed", dict)
-    load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)
+    load_strict(completed(read_tensors(path, model=NETWORK)), network, path, NETWORK)
     return int(read_notes(path).get(PIXELS_NOTE, 0))
 
 
@@ -119,7 +119,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
     hours = sum(float(row["seconds"]) for row in rows) / 3600
     on_cpu = sum(float(row.get("cpu_seconds") or 0) for row in rows) / 60
     validations = _rows(folder / "validation.csv")
-    shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
+    selection = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
     cost = f", {on_cpu:.0f} minutes of one core" if on_cpu else ""
     cost += "" if device == "cpu" else f", {device}"
     lines = [
@@ -144,7 +144,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         f"{task.evaluated_on}",
         "",
-        *_table(shown if not validations or shown[-1] == validations[-1] else [*shown, validations[-1]]),
+        *_table(selection if not validations or selection[-1] == validations[-1] else [*selection, validations[-1]]),
     ]
     card = folder / f"{task.name}.md"
     card.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -163,7 +163,7 @@ def _options(task: Task) -> dict[str, object]:
     if not is_dataclass(task) or isinstance(task, type):
         return {}
     values = asdict(task)
-    return {each.name: values[each.name] for each in fields(task) if each.repr}
+    return {field.name: values[field.name] for field in fields(task) if field.repr}
 
 
 def _table(rows: list[dict[str, str]]) -> list[str]:

@@ -72,35 +72,35 @@ class TrainingOptions:
     save_every: int = field(default=100, metadata=_of(decides=False))
     validate_every: int = field(default=500, metadata=_of(decides=False))
 
-    def words(self, what: str) -> list[str]:
+    def words(self, name: str) -> list[str]:
         """Return the options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""
-        return self._options(_used_by(what), str)
+        return self._options(_used_by(name), str)
 
-    def card_words(self, what: str) -> list[str]:
+    def card_words(self, name: str) -> list[str]:
         """Return the options that decide what the network learns, without the folders that captures and weights are in."""
-        return self._options([each for each in _used_by(what) if each.metadata[DECIDES]], _name)
+        return self._options([option for option in _used_by(name) if option.metadata[DECIDES]], _name)
 
-    def _options(self, used: list[Field[Any]], text: Callable[[object], str]) -> list[str]:
+    def _options(self, options: list[Field[Any]], text: Callable[[object], str]) -> list[str]:
         words = []
-        for each in used:
-            value = getattr(self, each.name)
+        for option in options:
+            value = getattr(self, option.name)
             if value is None or value is False or value == ():
                 continue
-            words.append("--" + each.name.replace("_", "-"))
+            words.append("--" + option.name.replace("_", "-"))
             if value is not True:
                 words += [text(part) for part in (value if isinstance(value, tuple) else (value,))]
         return words
 
 
-def options_class(what: str) -> type:
+def options_class(name: str) -> type:
     """Return the class of those options that the training of a network uses, by which the command line shows no others."""
-    used = [(each.name, each.type, field(default=each.default)) for each in _used_by(what)]
-    return make_dataclass("UsedOptions", used, namespace={"__doc__": TrainingOptions.__doc__}, frozen=True)
+    options = [(option.name, option.type, field(default=option.default)) for option in _used_by(name)]
+    return make_dataclass("UsedOptions", options, namespace={"__doc__": TrainingOptions.__doc__}, frozen=True)
 
 
-def _used_by(what: str) -> list[Field[Any]]:
-    training = what if what in EVERY else BASELINES
-    return [each for each in fields(TrainingOptions) if training in each.metadata[USED_BY]]
+def _used_by(name: str) -> list[Field[Any]]:
+    training = name if name in EVERY else BASELINES
+    return [option for option in fields(TrainingOptions) if training in option.metadata[USED_BY]]
 
 
 def _name(value: object) -> str:

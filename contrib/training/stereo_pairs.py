@@ -364,11 +364,11 @@ def expose_pair(pictures: list[Array32], rng: np.random.Generator, sensor: bool)
     noise, blur = float(rng.uniform(0, 5) * rng.uniform(0.2, 1)), float(rng.choice([0.0, rng.uniform(0, 1.2)]))
     processing = float(rng.choice([0.0, 0.0, rng.uniform(0.2, 1)]))
     jpeg = int(rng.choice([0, 0, int(rng.integers(70, 98))]))
-    taken = []
+    pictures_taken = []
     for image in (left, right):
         gain = (power(largest, 0.6 * rng.uniform(-1, 1)) * exp(rng.normal(0, 0.025, 3))).astype(np.float32)
         numbers = tuple(int(number) for number in rng.integers(0, 2**31, 2))
         defocus = max(0.0, blur * float(rng.uniform(0.6, 1.3)) - 0.2)
         camera = Sensor(gain, noise * float(rng.uniform(0.8, 1.2)), numbers, defocus, processing, jpeg)
-        taken.append(camera.expose(image, camera.noise(0)))
-    return taken[0], taken[1]
+        pictures_taken.append(camera.expose(image, camera.noise(0)))
+    return pictures_taken[0], pictures_taken[1]

@@ -78,7 +78,7 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
         raise TrainingError(f"train all: wanted at least one job at a time, got --jobs {jobs}; give 1 or more")
     waiting, failures = list(trainings), dict[str, str]()
     running: dict[Training, subprocess.Popen[bytes]] = {}
-    with ProgressLines({each.name: each.steps for each in trainings}) as lines, _stopped_at_the_end(running):
+    with ProgressLines({training.name: training.steps for training in trainings}) as lines, _stopped_at_the_end(running):
         while waiting or running:
             while waiting and len(running) < jobs:
                 training = waiting.pop(0)
@@ -137,8 +137,8 @@ def _failure(training: Training, code: int) -> dict[str, str]:
         return {}
     end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit {code}"
     said = last_line(training.log).removeprefix("ggvs-eval: ")
-    done = f"{training.steps_done()} of {training.steps} steps"
-    return {training.name: f"{training.name}: {end} after {done}: {said} (log: {training.log})"}
+    progress = f"{training.steps_done()} of {training.steps} steps"
+    return {training.name: f"{training.name}: {end} after {progress}: {said} (log: {training.log})"}
 
 
 @contextmanager
@@ -156,9 +156,9 @@ def _stopped_at_the_end(running: dict[Training, subprocess.Popen[bytes]]) -> Ite
                 _signal_group(process, signal.SIGKILL)
 
 
-def _signal_group(process: subprocess.Popen[bytes], which: signal.Signals) -> None:
+def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
     with suppress(ProcessLookupError):  # it has just ended
-        os.killpg(process.pid, which)
+        os.killpg(process.pid, number)
 
 
 class ProgressLines:
@@ -195,13 +195,13 @@ class ProgressLines:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._bars.stop()
 
-    def show(self, name: str, done: int) -> None:
+    def show(self, name: str, n_done: int) -> None:
         """Report N finished steps."""
-        self._bars.update(self._tasks[name], completed=done)
-        tenth = TENTHS * done // max(self._steps[name], 1)
+        self._bars.update(self._tasks[name], completed=n_done)
+        tenth = TENTHS * n_done // max(self._steps[name], 1)
         if self._bars.disable and tenth > self._tenths[name]:
             self._tenths[name] = tenth
-            print(f"{name}: {done} of {self._steps[name]} steps", file=sys.stderr, flush=True)
+            print(f"{name}: {n_done} of {self._steps[name]} steps", file=sys.stderr, flush=True)
 
     def end(self, name: str, failed: bool) -> None:
         """Nothing more will be done."""
@@ -217,7 +217,7 @@ NETWORKS: tuple[Network, ...] = (
     ("blend", "registered"),
     ("blend", "none"),
     ("blend", "naive"),
-    *((what, "registered") for what in TRAINED_BASELINES),
+    *((baseline, "registered") for baseline in TRAINED_BASELINES),
 )
 
 
@@ -256,17 +256,17 @@ def train_all(
 def planned_trainings(folder: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> list[Training]:
     """Return the command of each network's training."""
     trainings = []
-    for what, guidance in networks:
-        name = weights_name(guidance) if what == "blend" else what
-        words = replace(request, guidance=guidance).words(what)
-        trainings.append(Training(name, folder / name, ("train", what, str(folder / name), *words), request.steps))
+    for network, guidance in networks:
+        name = weights_name(guidance) if network == "blend" else network
+        words = replace(request, guidance=guidance).words(network)
+        trainings.append(Training(name, folder / name, ("train", network, str(folder / name), *words), request.steps))
     return trainings
 
 
 def prepare_all(cache: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> None:
     """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all."""
-    if any(what == "blend" for what, _ in networks):
+    if any(network == "blend" for network, _ in networks):
         device = sample_device(request)
         prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))
-    for depth in sorted({TRAINED_BASELINES[what].takes_depth for what, _ in networks if what in TRAINED_BASELINES}):
+    for depth in sorted({TRAINED_BASELINES[network].takes_depth for network, _ in networks if network in TRAINED_BASELINES}):
         prepare_samples(*sample_pools(cache, request, InstantKind(depth)), usable_cpus())

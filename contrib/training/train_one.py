@@ -109,12 +109,12 @@ class BaselineTask:
     @property
     def evaluated_on(self) -> str:
         """Sentence of the model card on the measures of `validate`."""
-        step, refusals = self.recipe.validated_step, [each for each in self._refusals if each]
-        measured = "PSNR (dB) and SSIM, means of whole views, single instants"
+        step, refusals = self.recipe.validated_step, [refusal for refusal in self._refusals if refusal]
+        measures = "PSNR (dB) and SSIM, means of whole views, single instants"
         if step > 1:
-            measured = f"PSNR (dB) of one pixel in {step} x {step}; means of single instants"
+            measures = f"PSNR (dB) of one pixel in {step} x {step}; means of single instants"
         left_out = f"; without {len(refusals)} of them, as the method cannot render such views: {refusals[0]}" if refusals else ""
-        return f"{measured}: {self.validation.data}{left_out}."
+        return f"{measures}: {self.validation.data}{left_out}."
 
     @property
     def step_pixels(self) -> int:
@@ -135,13 +135,13 @@ class BaselineTask:
             and below, (B, 2), in [0, 1). ``colours``: their order, (B, 3). ``step``: its number, ().
         """
         rng = np.random.default_rng([self.recipe.seed, step])
-        drawn = {
+        draws = {
             "samples": rng.integers(len(self.training), size=self.batch_size),
             "places": rng.random((self.batch_size, 2)),
             "colours": np.stack([rng.permutation(3) for _ in range(self.batch_size)]),
             "step": np.array(step),
         }
-        return {name: torch.as_tensor(values) for name, values in drawn.items()}
+        return {name: torch.as_tensor(values) for name, values in draws.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Return the mean over the crops; ``passed_over`` counts the views that a crop skipped, see `_crop_loss`."""
@@ -153,7 +153,7 @@ class BaselineTask:
             loss, terms = self._crop_loss(network, number, place, order, int(batch["step"]))
             losses.append(loss)
             figures.append({name: float(term.detach()) for name, term in terms.items()})
-        means = {name: sum(each[name] for each in figures) / len(figures) for name in figures[0]}
+        means = {name: sum(figure[name] for figure in figures) / len(figures) for name in figures[0]}
         return torch.stack(losses).mean(), means
 
     def _crop_loss(
@@ -188,7 +188,7 @@ class BaselineTask:
         if not self.has_statistics:
             count = min(STATISTICS_VIEWS, len(self.training))
             samples = (self.training.read(number * len(self.training) // count) for number in range(count))
-            instants = (each.instant for each in samples if self.recipe.refusal(each.instant) is None)
+            instants = (sample.instant for sample in samples if self.recipe.refusal(sample.instant) is None)
             recompute_statistics(network, (partial(self._render, instant=instant) for instant in instants))
 
     def _render(self, network: nn.Module, instant: Instant) -> Tensor:
@@ -205,7 +205,7 @@ class BaselineTask:
             scores.append(self._scores(view.permute(1, 2, 0).numpy(force=True), sample.truth))
         if not scores:
             raise TrainingError(f"{self.name}: wanted validation views, got none that it can render: {self._refusals[0]}")
-        return {name: sum(each[name] for each in scores) / len(scores) for name in scores[0]}
+        return {name: sum(score[name] for score in scores) / len(scores) for name in scores[0]}
 
     def _scores(self, view: Map, truth: Image8) -> dict[str, float]:
         """Return a whole view as an evaluation would measure it; pixels without their neighbours have no SSIM."""
@@ -220,29 +220,29 @@ CACHE = "blend-samples"  # next to the folders of the trainings
 WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
 
 
-def train_one(what: str, folder: Path, request: TrainingOptions) -> tuple[Path, Path]:
+def train_one(name: str, folder: Path, request: TrainingOptions) -> tuple[Path, Path]:
     """Train a network, or continue training it.
 
     Args:
-        what: stereo, blend, or one of `TRAINED_BASELINES`.
+        name: stereo, blend, or one of `TRAINED_BASELINES`.
 
     Returns:
         The file of the weights, and the card.
     """
     hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
-    task = planned_task(what, folder.parent / CACHE, request)
+    task = planned_task(name, folder.parent / CACHE, request)
     weights = train(task, folder, request)
-    command = " ".join(["ggvs-eval train", what, folder.name, *request.card_words(what)])
+    command = " ".join(["ggvs-eval train", name, folder.name, *request.card_words(name)])
     return weights, write_card(task, folder, command, device=hardware)
 
 
-def planned_task(what: str, cache: Path, request: TrainingOptions) -> Task:
+def planned_task(name: str, cache: Path, request: TrainingOptions) -> Task:
     """Return the task that is asked for, its samples in place."""
-    if what == "stereo":
+    if name == "stereo":
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
     is_trained = request.start_from is not None
-    if what != "blend":
-        baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained, request.crop)
+    if name != "blend":
+        baseline = baseline_task(name, cache, request, request.configuration, request.seed, is_trained, request.crop)
         prepare_samples(baseline.training, baseline.validation, usable_cpus())
         return baseline
     config, device = BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)

@@ -67,9 +67,9 @@ def view(
 
     device = checked_device(device)
     online_method(method, device)
-    shown, options = open_source(source, reading, jobs), PlayOptions(k, frames, None, sources)
-    playback = make_playback(shown, options, depth.options(device), out / "cache", jobs, True)
-    protocol = suggest_protocol(shown) if isinstance(shown, Capture) else shown.protocol
+    scene, options = open_source(source, reading, jobs), PlayOptions(k, frames, None, sources)
+    playback = make_playback(scene, options, depth.options(device), out / "cache", jobs, True)
+    protocol = suggest_protocol(scene) if isinstance(scene, Capture) else scene.protocol
     if export is not None:
         export_page(playback, sorted(set(playback.instants)), export, listener)
         print(export)

@@ -64,15 +64,15 @@ class FrameStock:
         """Return the frame and the depth of one camera at one instant, (H, W, 3) and (H, W)."""
         image, size = self.image(name, instant), self._sizes[name]
         if self._finder is not None:
-            images = {each: self.image(each, instant) for each in self._finder.needed([name])}
-            found = self._finder.estimate([name], images)[name]
-            return image, found.download() if isinstance(found, DeviceDepth) else found
+            images = {camera: self.image(camera, instant) for camera in self._finder.needed([name])}
+            depth_map = self._finder.estimate([name], images)[name]
+            return image, depth_map.download() if isinstance(depth_map, DeviceDepth) else depth_map
         depth_map = self._playback.store.read(self._playback.depth_keys[name], instant)
         if size == depth_map.depth.shape[1::-1]:
             return image, depth_map
         # Depths of two surfaces must not be mixed: a mean would be on neither.
         depth, confidence = (
-            cv2.resize(each, size, interpolation=cv2.INTER_NEAREST_EXACT) for each in (depth_map.depth, depth_map.confidence)
+            cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT) for values in (depth_map.depth, depth_map.confidence)
         )
         return image, DepthMap(depth, confidence)
 
@@ -118,27 +118,27 @@ class Picture:
         image: (H, W, 3), RGB uint8.
         seconds: of each stage of each method: label -> stage -> seconds, with the whole step as ``step``.
         sources: names of the source cameras of the first method, nearest first.
-        seen: share of the view that the cameras see, see `seen_share`.
+        seen_share: share of the view that the cameras see, see `seen_share`.
         known_depth: share of the sources' pixels of which the depth is known.
     """
 
     image: Image8
     seconds: dict[str, dict[str, float]]
     sources: tuple[str, ...]
-    seen: float = 1.0
+    seen_share: float = 1.0
     known_depth: float = 1.0
 
     @property
     def is_outside(self) -> bool:
         """True if the cameras do not see enough of the view."""
-        return self.seen < LEAST_SEEN
+        return self.seen_share < LEAST_SEEN
 
     @property
     def faded(self) -> Image8:
         """The image as it is inside of what the cameras see; outside of it grey, the more so the farther."""
         if not self.is_outside:
             return self.image
-        share = MOST_FADED * (1 - self.seen / LEAST_SEEN)
+        share = MOST_FADED * (1 - self.seen_share / LEAST_SEEN)
         return cv2.addWeighted(self.image, 1 - share, np.full_like(self.image, FADED_GREY), share, 0).astype(np.uint8)
 
 
@@ -172,7 +172,7 @@ class LiveView:
     def picture(self, request: ViewRequest) -> Picture:
         """Synthesise the picture of a request."""
         target = fitted(request.pose, self.pixels)
-        self._running = {label: each for label, each in self._running.items() if label in request.methods}
+        self._running = {label: method for label, method in self._running.items() if label in request.methods}
         seconds: dict[str, dict[str, float]] = {}
         images = []
         for label in request.methods:
@@ -182,11 +182,11 @@ class LiveView:
             seconds[label] = {**rendering.seconds, "step": perf_counter() - begun}
         sources = self._running[request.methods[0]].synthesizer.sources(target)
         names = tuple(camera.name for camera in sources)
-        known = 1.0  # by a network that is sure of nothing, but has an opinion everywhere
+        known_share = 1.0  # by a network that is sure of nothing, but has an opinion everywhere
         if self.stock.live is None:
             depths = [self.stock.read(name, request.instant)[1].depth for name in names]
-            known = float(np.mean([(depth > 0).mean() for depth in depths]))
-        return Picture(divided(images, request.divider), seconds, names, seen_share(target, self.stock.cameras), known)
+            known_share = float(np.mean([(depth > 0).mean() for depth in depths]))
+        return Picture(divided(images, request.divider), seconds, names, seen_share(target, self.stock.cameras), known_share)
 
     def restart(self) -> None:
         """Forget the methods' history."""

@@ -83,8 +83,8 @@ class Recording:
             raise RenderError("a protocol's path wants at least 2 poses, 1 was recorded; move the camera while recording")
         path = self._free_name(".toml")
         cameras = tuple(build_table(PathCamera, pose.to_json(), str(path), "path.cameras.", ProtocolError) for pose in poses)
-        chosen = CameraPath(len(poses), cameras, self.requests[0].instant)
-        write_text(path, replace(self.protocol, path=chosen).to_toml())
+        path_of_poses = CameraPath(len(poses), cameras, self.requests[0].instant)
+        write_text(path, replace(self.protocol, path=path_of_poses).to_toml())
         return (
             f"{len(poses)} poses; evaluate them by `ggvs-eval run OUT --capture {self.playback.capture.path} --protocol {path}`"
         )
@@ -150,11 +150,11 @@ class Session:
         changed: Callable[[], None],
     ) -> None:
         self.client, self._playback, self._stocks, self._changed_callback = client, playback, stocks, changed
-        small, whole = stocks
+        small, full = stocks
         units = playback.capture.units_per_metre
         self._moving = LiveView(small, units, pixels, device, playback.sources)
-        view = middle_camera(whole.cameras)
-        self._whole = LiveView(whole, units, view.width * view.height, device, playback.sources)
+        view = middle_camera(full.cameras)
+        self._whole = LiveView(full, units, view.width * view.height, device, playback.sources)
         self.recording = Recording(playback, view, defaults.protocol, defaults.recordings, device)
         self._lock = threading.Lock()
         self._version, self._shown_version, self._refined_version = 1, 0, 0
@@ -258,8 +258,8 @@ class Session:
 
     def _send(self, picture: Picture) -> None:
         self.client.scene.set_background_image(picture.faded, format="jpeg", jpeg_quality=JPEG_QUALITY)
-        now = monotonic()
-        self._sent = [at for at in self._sent if at > now - RATE_SECONDS] + [now]
+        time_s = monotonic()
+        self._sent = [at for at in self._sent if at > time_s - RATE_SECONDS] + [time_s]
         self._status.content = status_text(picture, len(self._sent) / RATE_SECONDS)
 
     def _add_controls(self, defaults: ViewDefaults) -> None:
@@ -339,12 +339,12 @@ class Session:
 def status_text(picture: Picture, rate: float) -> str:
     """Pictures per second, size, source cameras and milliseconds of each stage, as Markdown; outside of the rig that alone."""
     if picture.is_outside:
-        return OUTSIDE.format(picture.seen)
+        return OUTSIDE.format(picture.seen_share)
     height, width = picture.image.shape[:2]
     lines = [f"{rate:.1f} frames per second, {width} x {height}, from {', '.join(picture.sources)}"]
     little = "**little**: " if picture.known_depth < LITTLE_DEPTH else ""
     lines.append(f"depth {little}known in {picture.known_depth:.0%} of its sources' pixels")
     for label, seconds in picture.seconds.items():
-        stages = ", ".join(f"{stage} {1000 * each:.0f}" for stage, each in seconds.items())
+        stages = ", ".join(f"{stage} {1000 * stage_s:.0f}" for stage, stage_s in seconds.items())
         lines.append(f"{label}: {stages} ms")
     return "\n\n".join(lines)

@@ -202,9 +202,9 @@ class Viewer:
 
     def __init__(self, playback: Playback, defaults: ViewDefaults, listener: Listener, device: str = "cpu") -> None:
         self._playback, self._defaults, self._device = playback, defaults, device
-        whole = middle_camera(playback.capture.cameras)
+        middle = middle_camera(playback.capture.cameras)
         small_stock = FrameStock(playback, MOVING_PIXELS)
-        self._stocks = small_stock, FrameStock(playback, whole.width * whole.height)
+        self._stocks = small_stock, FrameStock(playback, middle.width * middle.height)
         self._sessions: dict[int, Session] = {}
         self._changed, self._stopped = threading.Event(), threading.Event()
         self.server = open_server(listener)

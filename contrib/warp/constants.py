@@ -95,7 +95,7 @@ class StepConstants:
             "rows": (np.int32, (pairs,)),
         }
         lengths = [int(np.prod(shape)) * np.dtype(kind).itemsize for kind, shape in layout.values()]
-        ends = np.cumsum([-(-each // ALIGNMENT) * ALIGNMENT for each in lengths])
+        ends = np.cumsum([-(-length // ALIGNMENT) * ALIGNMENT for length in lengths])
         on_gpu = device.type == "cuda"
         self._host = torch.zeros(int(ends[-1]), dtype=torch.uint8, device="cpu", pin_memory=on_gpu)
         self._device = torch.zeros_like(self._host, device=device) if on_gpu else self._host
@@ -148,13 +148,13 @@ class StepConstants:
         values["previous"][:] = [_place(camera, before) for camera in cameras]
         values["rows"][:] = rows
         past = target if before is None else before.target
-        given = (target, past, *cameras, *(source.share for source in sources), instant.units_per_metre, end)
-        same = len(given) == len(self._filled) and all(
-            one is other or one == other for one, other in zip(given, self._filled, strict=True)
+        values_used = (target, past, *cameras, *(source.share for source in sources), instant.units_per_metre, end)
+        is_same = len(values_used) == len(self._filled) and all(
+            new is old or new == old for new, old in zip(values_used, self._filled, strict=True)
         )
-        if not same:
+        if not is_same:
             self._fill_geometry(instant, sources, options, end, past)
-            self._filled = given
+            self._filled = values_used
 
     def _fill_geometry(
         self, instant: Instant, sources: Sequence[SourceView], options: OnlineOptions, end: float, past: Camera
@@ -164,20 +164,20 @@ class StepConstants:
         first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, end))
         noise = 7 * options.depth_noise_m * instant.units_per_metre
         values["numbers"][:] = target.near, end, tau, SLABS / (last - first), target.far, SAME_SURFACE_TAU * tau, noise
-        ours, theirs = _pinhole(target), np.stack([_pinhole(camera) for camera in (*cameras, past)])
-        values["pinholes"][:-1], values["pinholes"][-1] = theirs[:-1], ours
-        values["small_target"][:] = ours / self._sizes.scale  # of a size that the scale divides, by repetition
-        there, back = _rigid([target] * len(theirs), [*cameras, past]), _rigid([*cameras, past], [target] * len(theirs))
-        values["to_views"][:] = pixel_maps(there, ours, theirs)
-        values["from_views"][:] = pixel_maps(back, theirs, ours)
-        values["projectors"][:] = _projectors(back[:-1], theirs[:-1], target, instant.near_plane, options.gaussian_scale_px)
-        middles = _middle_rays(target, ours, self._sizes)
-        values["to_pixels"][:] = pixel_maps(there[:-1], middles, theirs[:-1])
+        pinhole, pinholes = _pinhole(target), np.stack([_pinhole(camera) for camera in (*cameras, past)])
+        values["pinholes"][:-1], values["pinholes"][-1] = pinholes[:-1], pinhole
+        values["small_target"][:] = pinhole / self._sizes.scale  # of a size that the scale divides, by repetition
+        forward, back = _rigid([target] * len(pinholes), [*cameras, past]), _rigid([*cameras, past], [target] * len(pinholes))
+        values["to_views"][:] = pixel_maps(forward, pinhole, pinholes)
+        values["from_views"][:] = pixel_maps(back, pinholes, pinhole)
+        values["projectors"][:] = _projectors(back[:-1], pinholes[:-1], target, instant.near_plane, options.gaussian_scale_px)
+        middles = _middle_rays(target, pinhole, self._sizes)
+        values["to_pixels"][:] = pixel_maps(forward[:-1], middles, pinholes[:-1])
         cells = [
-            _resized(each, size, cell)
-            for each, size, cell in zip(theirs[:-1], self._sizes.views, self._sizes.mask_cells, strict=True)
+            _resized(pinhole, size, cell)
+            for pinhole, size, cell in zip(pinholes[:-1], self._sizes.views, self._sizes.mask_cells, strict=True)
         ]
-        values["to_cells"][:] = pixel_maps(there[:-1], middles, np.stack(cells))
+        values["to_cells"][:] = pixel_maps(forward[:-1], middles, np.stack(cells))
         pairs = list(combinations(range(len(cameras)), 2))
         if pairs:
             ordered = [order for j, k in pairs for order in ((j, k), (k, j))]
@@ -196,7 +196,7 @@ class StepConstants:
 
 def _place(camera: Camera, before: Remembered | None) -> int:
     """Return the place of a camera in the stacks of the instant before, -1 if it was not there at this size."""
-    named = [each.name == camera.name and each.size == camera.size for each in before.cameras] if before else []
+    named = [view.name == camera.name and view.size == camera.size for view in before.cameras] if before else []
     return named.index(True) if True in named else NO_VIEW
 
 
@@ -205,9 +205,9 @@ def _pinhole(camera: Camera) -> Array:
     return camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
 
 
-def _resized(pinhole: Array, size: tuple[int, int], wanted: tuple[int, int]) -> Array:
+def _resized(pinhole: Array, size: tuple[int, int], new_size: tuple[int, int]) -> Array:
     """fx, fy, cx, cy of the image of a size (width, height) resampled to another."""
-    return pinhole * np.tile([wanted[0] / size[0], wanted[1] / size[1]], 2)
+    return pinhole * np.tile([new_size[0] / size[0], new_size[1] / size[1]], 2)
 
 
 def _middle_rays(target: Camera, pinhole: Array, sizes: Sizes) -> Array:
@@ -249,8 +249,8 @@ def _projectors(back: Array, pinholes: Array, target: Camera, near: float, scale
     slopes = 1.3 * target.width / (2.0 * fx), 1.3 * target.height / (2.0 * fy)
     common = np.array([fx, fy, cx - 0.5, cy - 0.5, *slopes, near, target.width - 1, target.height - 1])
     sigmas = scale / (0.5 * (pinholes[:, 0] + pinholes[:, 1]))
-    rest = np.concatenate([sigmas[:, None], np.tile(common, (len(back), 1))], axis=1)
-    return np.concatenate([pixel_maps(back, pinholes, None), rest], axis=1)
+    scales = np.concatenate([sigmas[:, None], np.tile(common, (len(back), 1))], axis=1)
+    return np.concatenate([pixel_maps(back, pinholes, None), scales], axis=1)
 
 
 def _corner(cameras: Sequence[Camera]) -> float:

@@ -25,13 +25,13 @@ NOWHERE = 0x7F800000
 def keep_surfaces(depth: wp.array3d[wp.float32], share: wp.float32, out: wp.array3d[wp.float32]):
     """See `fusion.drop_flying_pixels`."""
     k, y, x = wp.tid()
-    own = depth[k, y, x]
+    centre = depth[k, y, x]
     near = wp.int32(0)
     for v in range(wp.max(y - 1, 0), wp.min(y + 2, depth.shape[1])):
         for u in range(wp.max(x - 1, 0), wp.min(x + 2, depth.shape[2])):
-            if wp.abs(depth[k, v, u] - own) < share * own:
+            if wp.abs(depth[k, v, u] - centre) < share * centre:
                 near += 1
-    out[k, y, x] = wp.where(near >= FEWEST_NEAR, own, 0.0)
+    out[k, y, x] = wp.where(near >= FEWEST_NEAR, centre, 0.0)
 
 
 @wp.func
@@ -51,7 +51,7 @@ def smooth(depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, o
     k, y, x = wp.tid()
     value = wp.float32(0.0)
     if depth[k, y, x] > 0.0:
-        own = wp.log(wp.max(depth[k, y, x], 1e-6))
+        centre = wp.log(wp.max(depth[k, y, x], 1e-6))
         reach = 0.75 * wp.float32(radius)
         total = wp.float32(0.0)
         weights = wp.float32(0.0)
@@ -59,12 +59,12 @@ def smooth(depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, o
             for column in range(-radius, radius + 1):
                 square = row * row + column * column
                 if square <= radius * radius:
-                    there = depth[k, mirrored(y + row, depth.shape[1]), mirrored(x + column, depth.shape[2])]
-                    off = wp.log(wp.max(there, 1e-6)) - own
+                    neighbour = depth[k, mirrored(y + row, depth.shape[1]), mirrored(x + column, depth.shape[2])]
+                    off = wp.log(wp.max(neighbour, 1e-6)) - centre
                     weight = wp.exp(-0.5 * off * off / (share * share) - wp.float32(square) / (2.0 * reach * reach))
                     total += weight * off
                     weights += weight
-        value = wp.exp(own + total / weights)
+        value = wp.exp(centre + total / weights)
     out[k, y, x] = value
 
 
@@ -105,10 +105,10 @@ def fill_columns(
             down += 1
         value = wp.max(rows[k, wp.max(up, 0), x], rows[k, wp.min(down, rows.shape[1] - 1), x])
     out[k, y, x] = value
-    own = confidence[k, y, x]
+    certainty = confidence[k, y, x]
     if not (depth[k, y, x] > 0.0):
-        own = wp.where(value > 0.0, filled_confidence, 0.0)
-    sure[k, y, x] = own
+        certainty = wp.where(value > 0.0, filled_confidence, 0.0)
+    sure[k, y, x] = certainty
 
 
 @wp.func
@@ -182,40 +182,40 @@ def evaluate(
     width = maps.shape[2]
     u = wp.float32(x) + 0.5
     v = wp.float32(y) + 0.5
-    found = Verdict()
+    verdict = Verdict()
     total = confidence
     mass = confidence
     weighted = confidence * depth
     for shift in range(1, views):
-        other = (k + shift) % views
-        at = moved(between[k, other], u, v, depth)
+        partner = (k + shift) % views
+        at = moved(between[k, partner], u, v, depth)
         if depth > 0.0 and is_inside(at, width, height):
-            there = look_up(maps[other], at, limits.error_share)
-            if there > 0.0:
-                back = moved(between[other, k], at[0], at[1], there)
-                gap = wp.abs(there - at[2])
+            map_depth = look_up(maps[partner], at, limits.error_share)
+            if map_depth > 0.0:
+                back = moved(between[partner, k], at[0], at[1], map_depth)
+                gap = wp.abs(map_depth - at[2])
                 apart = (back[0] - u) * (back[0] - u) + (back[1] - v) * (back[1] - v)
                 near = apart <= limits.error_px * limits.error_px or gap <= limits.wide_share * at[2]
                 if near and gap <= limits.error_share * at[2]:
-                    m = between[k, other]
+                    m = between[k, partner]
                     slope = m[6] * u + m[7] * v + m[8]
-                    step = (there - at[2]) / wp.max(slope, _LEAST_SLOPE)
-                    trust = trusts[other, wp.int32(at[1]), wp.int32(at[0])]
-                    found.support += 1.0
+                    step = (map_depth - at[2]) / wp.max(slope, _LEAST_SLOPE)
+                    trust = trusts[partner, wp.int32(at[1]), wp.int32(at[0])]
+                    verdict.support += 1.0
                     total += trust
                     if slope > _LEAST_SLOPE and wp.abs(step) <= limits.error_share * depth and depth + step > 0.0:
                         mass += trust
                         weighted += trust * (depth + step)
-                elif there > at[2]:
-                    found.conflict += 1.0
-    found.depth = depth
-    if found.support > 0.0 and mass > 0.0:
-        found.depth = weighted / mass
-    evaluated = found.support + found.conflict
-    found.confidence = _UNCHECKED * confidence
+                elif map_depth > at[2]:
+                    verdict.conflict += 1.0
+    verdict.depth = depth
+    if verdict.support > 0.0 and mass > 0.0:
+        verdict.depth = weighted / mass
+    evaluated = verdict.support + verdict.conflict
+    verdict.confidence = _UNCHECKED * confidence
     if evaluated > 0.0:
-        found.confidence = total / (1.0 + evaluated)
-    return found
+        verdict.confidence = total / (1.0 + evaluated)
+    return verdict
 
 
 @wp.kernel
@@ -242,18 +242,18 @@ def check(
     depth = maps[k, y, x]
     verdict = evaluate(maps, trusts, between, limits, k, y, x, depth, trusts[k, y, x])
     agreed = wp.min(verdict.support + verdict.conflict, min_support)
-    kept = depth > 0.0 and verdict.support >= agreed and verdict.conflict <= verdict.support
-    out[k, y, x] = wp.where(kept, verdict.depth, 0.0)
-    sure[k, y, x] = wp.where(kept, verdict.confidence, 0.0)
+    is_kept = depth > 0.0 and verdict.support >= agreed and verdict.conflict <= verdict.support
+    out[k, y, x] = wp.where(is_kept, verdict.depth, 0.0)
+    sure[k, y, x] = wp.where(is_kept, verdict.confidence, 0.0)
 
 
 @wp.kernel
 def project(maps: wp.array3d[wp.float32], between: wp.array3d[wp.float32], layers: wp.array4d[wp.int32]):
     """Bits of the others' depth in a camera's pixels, the nearest where points meet; layer n is of the map n + 1 later."""
     n, k, y, x = wp.tid()
-    other = (k + n + 1) % maps.shape[0]
-    depth = maps[other, y, x]
-    at = moved(between[other, k], wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
+    partner = (k + n + 1) % maps.shape[0]
+    depth = maps[partner, y, x]
+    at = moved(between[partner, k], wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
     if depth > 0.0 and is_inside(at, maps.shape[2], maps.shape[1]):
         wp.atomic_min(layers, n, k, wp.int32(at[1]), wp.int32(at[0]), wp.cast(at[2], wp.int32))
 
@@ -296,9 +296,9 @@ def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: 
     """
     with on_current_stream(depth.device):
         depth, confidence = depth.contiguous(), confidence.float().contiguous()
-        kept, even = torch.empty_like(depth), torch.empty_like(depth)
-        launch(keep_surfaces, depth.shape, depth, FLYING, kept)
-        launch(smooth, depth.shape, kept, SMOOTH, SMOOTH_RADIUS_PX, even)
+        surfaces, even = torch.empty_like(depth), torch.empty_like(depth)
+        launch(keep_surfaces, depth.shape, depth, FLYING, surfaces)
+        launch(smooth, depth.shape, surfaces, SMOOTH, SMOOTH_RADIUS_PX, even)
         depth, confidence = _filled(even, confidence, FILLED_CONFIDENCE)
         if not options.consistency or len(depth) == 1:
             return depth, confidence
@@ -322,9 +322,9 @@ def _checked(depth: Tensor, confidence: Tensor, between: Tensor) -> tuple[Tensor
     launch(leave_doubtful, depth.shape, depth, confidence, consistency.LEAST_CONFIDENCE, maps)
     launch(check, depth.shape, maps, confidence, between, limits, float(consistency.MIN_SUPPORT), out, sure)
     if consistency.FILL_SUPPORT > 0:
-        others = len(depth) - 1
-        layers = torch.full((others, *depth.shape), NOWHERE, dtype=torch.int32, device=depth.device)
+        partners = len(depth) - 1
+        layers = torch.full((partners, *depth.shape), NOWHERE, dtype=torch.int32, device=depth.device)
         launch(project, layers.shape, maps, between, layers)
-        fewest = float(min(consistency.FILL_SUPPORT, others))
+        fewest = float(min(consistency.FILL_SUPPORT, partners))
         launch(fill_from_others, depth.shape, maps, confidence, between, layers, limits, fewest, out, sure)
     return out, sure

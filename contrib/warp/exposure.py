@@ -108,36 +108,36 @@ def look_up(
     flags[pair, place] = 0
     for c in range(4):
         looks[pair, c, place] = 0.0
-    own = directed[q, 0]
-    other = directed[q, 1]
-    across = lattices[own, 1]
-    if n >= across * lattices[own, 2]:
+    first = directed[q, 0]
+    second = directed[q, 1]
+    across = lattices[first, 1]
+    if n >= across * lattices[first, 2]:
         return
-    step = lattices[own, 0]
+    step = lattices[first, 0]
     row = (n // across) * step + step // 2
     column = (n % across) * step + step // 2
-    colour = pixel_of(pictures, own, row, column)
-    v = wp.min(_REDUCTION * row + _REDUCTION // 2, sizes[own, 1] - 1)
-    u = wp.min(_REDUCTION * column + _REDUCTION // 2, sizes[own, 0] - 1)
-    z = depths[own, v, u]
+    colour = pixel_of(pictures, first, row, column)
+    v = wp.min(_REDUCTION * row + _REDUCTION // 2, sizes[first, 1] - 1)
+    u = wp.min(_REDUCTION * column + _REDUCTION // 2, sizes[first, 0] - 1)
+    z = depths[first, v, u]
     if not (z > 0.0) or not is_linear(colour):
         return
     flags[pair, place] = 1
-    x = wp.float32(wp.float64(z) * ((wp.float64(u) - pinholes[own, 2]) / pinholes[own, 0]))
-    y = wp.float32(wp.float64(z) * ((wp.float64(v) - pinholes[own, 3]) / pinholes[own, 1]))
+    x = wp.float32(wp.float64(z) * ((wp.float64(u) - pinholes[first, 2]) / pinholes[first, 0]))
+    y = wp.float32(wp.float64(z) * ((wp.float64(v) - pinholes[first, 3]) / pinholes[first, 1]))
     t = transforms[q]
     tx = t[0] * x + t[1] * y + t[2] * z + t[3]
     ty = t[4] * x + t[5] * y + t[6] * z + t[7]
     tz = t[8] * x + t[9] * y + t[10] * z + t[11]
     if not (tz > 0.0):
         return
-    width = sizes[other, 0]
-    height = sizes[other, 1]
-    tu = wp.float32(pinholes[other, 0]) * tx / tz + wp.float32(pinholes[other, 2])
-    tv = wp.float32(pinholes[other, 1]) * ty / tz + wp.float32(pinholes[other, 3])
+    width = sizes[second, 0]
+    height = sizes[second, 1]
+    tu = wp.float32(pinholes[second, 0]) * tx / tz + wp.float32(pinholes[second, 2])
+    tv = wp.float32(pinholes[second, 1]) * ty / tz + wp.float32(pinholes[second, 3])
     if not (tu >= 0.0 and tu < wp.float32(width) and tv >= 0.0 and tv < wp.float32(height)):
         return
-    if not (wp.abs(depths[other, wp.int32(tv), wp.int32(tu)] - tz) < numbers[TAU]):
+    if not (wp.abs(depths[second, wp.int32(tv), wp.int32(tu)] - tz) < numbers[TAU]):
         return
     small_width = wp.max(width // _REDUCTION, 1)
     small_height = wp.max(height // _REDUCTION, 1)
@@ -149,19 +149,21 @@ def look_up(
     bottom = wp.min(top + 1, small_height - 1)
     fx = sx - wp.float32(left)
     fy = sy - wp.float32(top)
-    upper = pixel_of(pictures, other, top, left)
-    upper += fx * (pixel_of(pictures, other, top, right) - upper)
-    lower = pixel_of(pictures, other, bottom, left)
-    lower += fx * (pixel_of(pictures, other, bottom, right) - lower)
-    there = upper + fy * (lower - upper)
-    if not is_linear(there):
-        off = wp.vec3f(wp.abs(colour[0] - there[0]), wp.abs(colour[1] - there[1]), wp.abs(colour[2] - there[2]))
+    upper = pixel_of(pictures, second, top, left)
+    upper += fx * (pixel_of(pictures, second, top, right) - upper)
+    lower = pixel_of(pictures, second, bottom, left)
+    lower += fx * (pixel_of(pictures, second, bottom, right) - lower)
+    colour_there = upper + fy * (lower - upper)
+    if not is_linear(colour_there):
+        off = wp.vec3f(
+            wp.abs(colour[0] - colour_there[0]), wp.abs(colour[1] - colour_there[1]), wp.abs(colour[2] - colour_there[2])
+        )
         flags[pair, place] = wp.where(wp.max(wp.max(off[0], off[1]), off[2]) <= _DARK, 4, 3)
         return
     flags[pair, place] = 2
     sign = 1.0 - 2.0 * wp.float32(q % 2)
     for c in range(3):
-        looks[pair, c, place] = sign * (wp.log(wp.max(colour[c], 1.0)) - wp.log(wp.max(there[c], 1.0)))
+        looks[pair, c, place] = sign * (wp.log(wp.max(colour[c], 1.0)) - wp.log(wp.max(colour_there[c], 1.0)))
     looks[pair, 3, place] = sign * ((x * x + y * y) / (z * z) - (tx * tx + ty * ty) / (tz * tz))
 
 
@@ -220,11 +222,11 @@ def block_median(
             if flags[pair, i] == 2:
                 key = ordered(combined(looks, pair, channel, slope, i))
                 for step in range(1, 4):
-                    one = wp.int64(1) << wp.int64(20 * (step - 1))
+                    count_one = wp.int64(1) << wp.int64(20 * (step - 1))
                     if key < (low | (wp.uint32(step) << shift)):
-                        low_below += one
+                        low_below += count_one
                     if key < (high | (wp.uint32(step) << shift)):
-                        high_below += one
+                        high_below += count_one
         lows = wp.tile_sum(wp.tile(low_below))
         highs = wp.tile_sum(wp.tile(high_below))
         low_step = wp.int32(0)
@@ -291,9 +293,9 @@ def pair_slopes(
         t0 = wp.tile_sum(wp.tile(s0))
         tx = wp.tile_sum(wp.tile(sx))
         ty = wp.tile_sum(wp.tile(sy))
-        whole = wp.max(t0[0], wp.float64(1e-30))
-        new_x = tx[0] / whole
-        new_y = ty[0] / whole
+        weight_sum = wp.max(t0[0], wp.float64(1e-30))
+        new_x = tx[0] / weight_sum
+        new_y = ty[0] / weight_sum
         sxx = wp.float64(0.0)
         sxy = wp.float64(0.0)
         for i in range(lane, flags.shape[1], wp.block_dim()):
@@ -345,15 +347,15 @@ def common_slope(
     alike = total * total / wp.max(squares, wp.float64(1e-12))
     variance = spread / (total + _SLOPE_PRIOR) / wp.max(alike - wp.float64(1.0), wp.float64(0.5))
     doubt = _LEAST * _LEAST + wp.float64(4.0) * variance
-    now = wp.float64(0.0)
+    current = wp.float64(0.0)
     if mean * mean > doubt:
-        now = mean * (wp.float64(1.0) - doubt / (mean * mean)) / lens[0]
-    known = wp.float64(flags[GAINS])
-    after[0] = known * before[0]
-    after[1] = known * before[1]
+        current = mean * (wp.float64(1.0) - doubt / (mean * mean)) / lens[0]
+    has_gains = wp.float64(flags[GAINS])
+    after[0] = has_gains * before[0]
+    after[1] = has_gains * before[1]
     if shared >= 2:  # fewer say nothing
-        after[0] = wp.min(known * before[0] + wp.float64(1.0), lens[1])
-        after[1] = known * before[1] + (now - known * before[1]) / after[0]
+        after[0] = wp.min(has_gains * before[0] + wp.float64(1.0), lens[1])
+        after[1] = has_gains * before[1] + (current - has_gains * before[1]) / after[0]
 
 
 @wp.kernel
@@ -378,12 +380,12 @@ def compare_colours(
 ):
     """Share of the looks of each pair whose colours are alike, -1 if it shares too little; a block each."""
     pair, lane = wp.tid()
-    seen = wp.int32(0)
+    n_seen = wp.int32(0)
     alike = wp.int32(0)
     for i in range(lane, flags.shape[1], wp.block_dim()):
         flag = flags[pair, i]
         if flag >= 2:
-            seen += 1
+            n_seen += 1
         if flag == 4:
             alike += 1
         if flag == 2:
@@ -392,7 +394,7 @@ def compare_colours(
                 apart = wp.max(apart, wp.abs(looks[pair, c, i] - wp.float32(medians[pair, 3 + c])))
             if apart < _LIKE:
                 alike += 1
-    all_seen = wp.tile_sum(wp.tile(seen))
+    all_seen = wp.tile_sum(wp.tile(n_seen))
     all_alike = wp.tile_sum(wp.tile(alike))
     if lane == 0:
         likeness = wp.float64(-1.0)
@@ -493,11 +495,11 @@ def gains_of(
     for p in range(likeness.shape[0]):
         closest = wp.max(closest, likeness[p])
     for i in range(views):
-        own = wp.float64(-1.0)
+        best = wp.float64(-1.0)
         for p in range(likeness.shape[0]):
             if members[p, 0] == i or members[p, 1] == i:
-                own = wp.max(own, likeness[p])
-        odd[i] = wp.where(own >= wp.float64(0.0) and own < _ODD and closest > _COMMON, 1, 0)
+                best = wp.max(best, likeness[p])
+        odd[i] = wp.where(best >= wp.float64(0.0) and best < _ODD and closest > _COMMON, 1, 0)
 
 
 @wp.kernel
@@ -571,8 +573,8 @@ def estimate_exposure(
     looks = torch.empty((pairs, 4, 2 * points), device=device)
     flags = torch.zeros((pairs, 2 * points), dtype=torch.int32, device=device)
     if views > 1:
-        seen = (pictures, depths, c.pinholes, t.view_sizes, lattices, directed, c.transforms, c.numbers, points)
-        launch(look_up, (2 * pairs, points), *seen, looks, flags)
+        look_arguments = (pictures, depths, c.pinholes, t.view_sizes, lattices, directed, c.transforms, c.numbers, points)
+        launch(look_up, (2 * pairs, points), *look_arguments, looks, flags)
     of_pairs = torch.empty((pairs, 4), dtype=torch.float64, device=device)
     launch(pair_slopes, [pairs], looks, flags, c.lens, of_pairs, block=BLOCK)
     launch(common_slope, 1, of_pairs, c.lens, c.flags, before.lens, out.lens)
@@ -582,9 +584,9 @@ def estimate_exposure(
     launch(carry_ratios, out.ratios.shape, before.ratios, c.flags, c.lens, out.ratios)
     gains, odd = torch.empty((views, 3), device=device), torch.empty(views, dtype=torch.int32, device=device)
     system, right = (torch.empty((views, n), dtype=torch.float64, device=device) for n in (views, 3))
-    seen = (ratios, of_pairs, likeness, members, c.signs, c.gauge, c.lens, c.rows)
-    launch(gains_of, 1, *seen, out.ratios, system, right, gains, odd)
-    factors = torch.empty((views + 1, 2, max(*t.sizes.largest, *t.sizes.whole)), device=device)
+    gain_arguments = (ratios, of_pairs, likeness, members, c.signs, c.gauge, c.lens, c.rows)
+    launch(gains_of, 1, *gain_arguments, out.ratios, system, right, gains, odd)
+    factors = torch.empty((views + 1, 2, max(*t.sizes.largest, *t.sizes.target)), device=device)
     launch(brightness, factors.shape, c.pinholes, c.lens, out.lens, factors)
     return Exposure(gains, factors, odd)
 

@@ -20,7 +20,7 @@ _COVERED = wp.constant(wp.float32(COVERED_ALPHA))
 
 @wp.kernel
 def change_of_views(
-    now: wp.array4d[wp.uint8],
+    after: wp.array4d[wp.uint8],
     before: wp.array4d[wp.uint8],
     previous: wp.array[wp.int32],
     cells: wp.array2d[wp.int32],
@@ -53,7 +53,7 @@ def change_of_views(
         for column in range(columns[k, x, 0], columns[k, x, 1]):
             line = wp.float32(0.0)
             for row in range(rows[k, y, 0], rows[k, y, 1]):
-                difference = wp.float32(now[k, row, column, c]) - wp.float32(before[p, row, column, c])
+                difference = wp.float32(after[k, row, column, c]) - wp.float32(before[p, row, column, c])
                 line += row_shares[k, y, row - rows[k, y, 0]] * difference
             value += column_shares[k, x, column - columns[k, x, 0]] * line
         value = value / 255.0
@@ -197,12 +197,12 @@ def filter_views(
     rows, columns = (t.area_cells(lines[0][axis], lines[1][axis]) for axis in (1, 0))
     size = len(cells), max(lines[1][1]), max(lines[1][0])
     colours, small = torch.empty((*size, 3), device=depths.device), torch.empty(size, device=depths.device)
-    chosen = options.lambda_t, options.beta_mask, options.mask_channels == "mean"
-    launch(change_of_views, size, images, before[0], c.previous, t.mask_cells, *rows, *columns, *chosen, colours, small)
+    limits = options.lambda_t, options.beta_mask, options.mask_channels == "mean"
+    launch(change_of_views, size, images, before[0], c.previous, t.mask_cells, *rows, *columns, *limits, colours, small)
     widest = functional.max_pool2d(small[None], 3, 1, 1)[0]
     masks = torch.empty_like(depths)
-    seen = (depths, before[1], c.previous, t.view_sizes, t.mask_cells, widest)
-    launch(mix_views, depths.shape, *seen, options.history_tolerance, masks, out)
+    mix_arguments = (depths, before[1], c.previous, t.view_sizes, t.mask_cells, widest)
+    launch(mix_views, depths.shape, *mix_arguments, options.history_tolerance, masks, out)
     return masks, colours
 
 

@@ -25,13 +25,13 @@ def launch(kernel: Any, size: int | Sequence[int], *arguments: Any, block: int =
         arguments: tensors, whose layouts Warp checks, and numbers.
         block: threads that work on one item together; at most 512, since more have too few registers.
     """
-    device = next(each.device for each in arguments if isinstance(each, Tensor))
-    values = [wp.from_torch(each, return_ctype=True) if isinstance(each, Tensor) else each for each in arguments]
-    there = wp.device_from_torch(device)
+    device = next(argument.device for argument in arguments if isinstance(argument, Tensor))
+    values = [wp.from_torch(argument, return_ctype=True) if isinstance(argument, Tensor) else argument for argument in arguments]
+    place = wp.device_from_torch(device)
     if block:
-        wp.launch_tiled(kernel, dim=size, inputs=values, block_dim=block, device=there, record_tape=False)
+        wp.launch_tiled(kernel, dim=size, inputs=values, block_dim=block, device=place, record_tape=False)
     else:
-        wp.launch(kernel, dim=size, inputs=values, device=there, record_tape=False)
+        wp.launch(kernel, dim=size, inputs=values, device=place, record_tape=False)
 
 
 @contextmanager

@@ -311,7 +311,7 @@ def march_rays(
     gain = gains[y, x]
     step = step_fraction * field.tau
     base = field.near
-    whole = wp.float32(0.0)
+    steps = wp.float32(0.0)
     previous = wp.float32(0.0)
     before = wp.vec2f(0.0, 0.0)
     depth = wp.float32(0.0)
@@ -319,11 +319,11 @@ def march_rays(
     was_positive = wp.bool(False)
     active = wp.bool(True)
     while active:
-        z = base + whole * step
+        z = base + steps * step
         if skip_empty:
             empty = (nexts[slab_of(field, z), y // _COLUMN, x // _COLUMN] - z) * (1.0 / step) - 0.01
-            whole += wp.float32(wp.int32(wp.min(wp.max(empty, 0.0), 1e6)))
-            z = base + whole * step
+            steps += wp.float32(wp.int32(wp.min(wp.max(empty, 0.0), 1e6)))
+            z = base + steps * step
         if not (z <= field.far):
             active = False
         else:
@@ -338,9 +338,9 @@ def march_rays(
             else:
                 if positive and s[0] < 1.0:
                     base = z + wp.max(step_fraction * s[0], min_step) * field.tau
-                    whole = wp.float32(0.0)
+                    steps = wp.float32(0.0)
                 else:
-                    whole += 1.0
+                    steps += 1.0
                 previous = z
                 before = s
                 was_positive = positive
@@ -369,7 +369,7 @@ def march(
         limits: smallest step, in tau, and largest weight of the past.
         out: depth, (H, W), world units, 0 if there is no surface, and the sum of the weights behind it.
     """
-    (width, height), device = t.sizes.whole, depths.device
+    (width, height), device = t.sizes.target, depths.device
     columns = -(-height // COLUMN), -(-width // COLUMN)
     nexts = torch.empty((SLABS if skip_empty else 1, *columns), device=device)
     if skip_empty:
@@ -378,8 +378,8 @@ def march(
         groups = (depths, weights, t.view_sizes, c.from_views[:-1]), (past[0][None], past[1][None], past_size, c.from_views[-1:])
         for number, (stack, of_pixels, sizes, to_target) in enumerate(groups):
             blocks = (len(stack), *(-(-size // BLOCK) for size in stack.shape[1:]))
-            seen = (stack, of_pixels, sizes, to_target, c.flags, number == 1, c.numbers, width, height)
-            launch(mark_shells, blocks, *seen, marks)
+            arguments = (stack, of_pixels, sizes, to_target, c.flags, number == 1, c.numbers, width, height)
+            launch(mark_shells, blocks, *arguments, marks)
         firsts = torch.empty((SEGMENTS, *columns), dtype=torch.int32, device=device)
         launch(first_marks, firsts.shape, marks, firsts)
         launch(find_next, firsts.shape, marks, firsts, c.numbers, nexts)

@@ -211,15 +211,15 @@ def kernels_of(kind: Any) -> SimpleNamespace:
                     if at > views and at < views + 4:
                         total = wp.tanh(total)
                     out[y, x, at] = total
-        whole = wp.float32(0.0)
+        sum_of_shares = wp.float32(0.0)
         for o in range(views):
             share = wp.float32(0.0)
             if order[o] >= 0:
                 share = wp.exp(out[y, x, o] - largest)
-            whole += share
+            sum_of_shares += share
             out[y, x, o] = share
         for o in range(views):
-            out[y, x, o] = out[y, x, o] / whole
+            out[y, x, o] = out[y, x, o] / sum_of_shares
 
     @wp.kernel(module="unique")
     def look_input(
@@ -227,7 +227,7 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         logarithm: wp.array2d[wp.float32],
         image: wp.array3d[wp.float32],
         spread: wp.array2d[wp.float32],
-        seen: wp.array2d[wp.float32],
+        coverage: wp.array2d[wp.float32],
         small: wp.array3d[wp.float32],
         scale: wp.int32,
         first: wp.int32,
@@ -239,13 +239,13 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         width = depth.shape[1]
         y = wp.clamp(py - 1, 0, height - 1)
         x = wp.clamp(px - 1, 0, width - 1)
-        own = logarithm[y, x]
+        centre = logarithm[y, x]
         total = wp.float32(0.0)
-        known = wp.float32(0.0)
-        low5 = own
-        high5 = own
-        low3 = own
-        high3 = own
+        n_known = wp.float32(0.0)
+        low5 = centre
+        high5 = centre
+        low3 = centre
+        high3 = centre
         grey = (image[0, y, x] + image[1, y, x] + image[2, y, x]) / 3.0
         low = grey
         high = grey
@@ -254,7 +254,7 @@ def kernels_of(kind: Any) -> SimpleNamespace:
                 value = logarithm[v, u]
                 if depth[v, u] > 0.0:
                     total += value
-                    known += 1.0
+                    n_known += 1.0
                 low5 = wp.min(low5, value)
                 high5 = wp.max(high5, value)
                 if wp.abs(v - y) <= 1 and wp.abs(u - x) <= 1:
@@ -265,10 +265,10 @@ def kernels_of(kind: Any) -> SimpleNamespace:
                     high = wp.max(high, grey)
         relief = wp.float32(0.0)
         if depth[y, x] > 0.0:
-            relief = own - total / known
+            relief = centre - total / n_known
         front = vec8()
         front[0] = wp.clamp(spread[y, x], -1.0, 1.0)
-        front[1] = wp.clamp(seen[y, x] / _ENOUGH, -1.0, 1.0)
+        front[1] = wp.clamp(coverage[y, x] / _ENOUGH, -1.0, 1.0)
         front[2] = wp.clamp(_DEPTH_GAIN * relief, -1.0, 1.0)
         front[3] = wp.clamp(_DEPTH_GAIN * (high3 - low3), -1.0, 1.0)
         front[4] = wp.clamp(_DEPTH_GAIN / 2.0 * (high5 - low5), -1.0, 1.0)
@@ -321,9 +321,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         width = image.shape[2]
         at = 2 * (y * width + x)
         taps = taps_of(load8(raw, at), load8(raw, at + 1), shift, gain, weights, bias)
-        whole = wp.float32(0.0)
+        sum_of_taps = wp.float32(0.0)
         for t in range(12):
-            whole += taps[t]
+            sum_of_taps += taps[t]
         ym2 = wp.max(y - 2, 0)
         ym1 = wp.max(y - 1, 0)
         yp1 = wp.min(y + 1, height - 1)
@@ -333,7 +333,7 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         xp1 = wp.min(x + 1, width - 1)
         xp2 = wp.min(x + 2, width - 1)
         for c in range(3):
-            total = image[c, y, x] * (1.0 - whole)
+            total = image[c, y, x] * (1.0 - sum_of_taps)
             total += taps[0] * image[c, ym2, x]
             total += taps[1] * image[c, ym1, xm1]
             total += taps[2] * image[c, ym1, x]
@@ -390,7 +390,9 @@ class DeviceNetwork:
             self._epsilon = norms[0].eps
             self._layers = [self._filters(convolution) for convolution in convolutions]
             pairs = zip(norms, convolutions, strict=True)
-            self._gains = [torch.stack([norm.weight, norm.bias, each.bias]).detach().contiguous() for norm, each in pairs]
+            self._gains = [
+                torch.stack([norm.weight, norm.bias, convolution.bias]).detach().contiguous() for norm, convolution in pairs
+            ]
             self._last = _matrix(unet.last)
             self._looks = [(self._filters(look), look.bias.detach()) for look in self._refiner.looks]
             taps, bias = _matrix(self._refiner.taps)
@@ -412,14 +414,14 @@ class DeviceNetwork:
         padded = self._padded(height + top + bottom, width + left + right, self._layers[0].shape[1])
         launch(self._kernels.first_input, padded.shape, channels, top, left, padded)
         layers = iter(zip(self._layers, self._gains, strict=True))
-        done = [self._block(padded, layers)]
+        levels = [self._block(padded, layers)]
         for _ in range(LEVELS):
-            raw, *rest = done[-1]
+            raw, *statistics = levels[-1]
             padded = self._padded(raw.shape[0] // 2, raw.shape[1] // 2, raw.shape[2])
-            launch(self._kernels.pooled, padded.shape, raw, *rest, padded)
-            done.append(self._block(padded, layers))
-        below = done.pop()
-        for skip in reversed(done):
+            launch(self._kernels.pooled, padded.shape, raw, *statistics, padded)
+            levels.append(self._block(padded, layers))
+        below = levels.pop()
+        for skip in reversed(levels):
             padded = self._padded(*skip[0].shape[:2], skip[0].shape[2] + below[0].shape[2])
             launch(self._kernels.joined, padded.shape, *skip, *below, padded)
             below = self._block(padded, layers)
@@ -428,22 +430,22 @@ class DeviceNetwork:
         launch(self._kernels.small_outputs, (height, width), *below, *self._last, weights, order, most, top, left, out)
         return out
 
-    def refined(self, image: Tensor, spread: Tensor, seen: Tensor, logarithm: Tensor, depth: Tensor, small: Tensor) -> Tensor:
+    def refined(self, image: Tensor, spread: Tensor, coverage: Tensor, logarithm: Tensor, depth: Tensor, small: Tensor) -> Tensor:
         """Return the composed picture, (3, H, W), with every pixel's filter applied, in [0, 1].
 
         Args:
             spread: of the views, (H, W).
-            seen: how many views show a pixel, (H, W).
+            coverage: how many views show a pixel, (H, W).
             logarithm: of the depth, (H, W).
             depth: fused, (H, W), 0 where unknown.
             small: by `small`.
         """
         height, width = depth.shape
         statistics = rules.picture_statistics(image[None], spread.clamp(max=1)[None]).float()
-        shifts = [each.contiguous() for each in self._refiner.condition(statistics)[0].chunk(3)]
+        shifts = [shift.contiguous() for shift in self._refiner.condition(statistics)[0].chunk(3)]
         features = small.shape[2] - self.config.features
         padded = self._padded(height, width, 2 * CHANNELS)
-        seen_maps = (depth, logarithm, image, spread, seen, small, self.config.scale, features)
+        seen_maps = (depth, logarithm, image, spread, coverage, small, self.config.scale, features)
         launch(self._kernels.look_input, padded.shape[:2], *seen_maps, padded.view(-1))
         (first, first_bias), (second, second_bias) = self._looks
         raw, inner = self._convolved(padded, first), self._padded(height, width, 2 * CHANNELS)

@@ -181,13 +181,13 @@ def give_places(coverage: wp.array[wp.float32], places: wp.array[wp.int32], orde
     for k in range(views):
         largest = wp.max(largest, coverage[k])
         order[k] = -1
-    taken = wp.int32(0)
+    n_places = wp.int32(0)
     for k in range(views):
         places[k] = -1
         if coverage[k] >= _COVERED or largest < _COVERED:
-            places[k] = taken
-            order[taken] = k
-            taken += 1
+            places[k] = n_places
+            order[n_places] = k
+            n_places += 1
 
 
 @wp.kernel
@@ -214,7 +214,7 @@ def share_out(
 @wp.kernel
 def average_known(
     colours: wp.array3d[wp.float32],
-    known: wp.array2d[wp.float32],
+    certainty: wp.array2d[wp.float32],
     rows: wp.array3d[wp.int32],
     row_shares: wp.array3d[wp.float32],
     columns: wp.array3d[wp.int32],
@@ -228,9 +228,11 @@ def average_known(
     weight = wp.float32(0.0)
     for row in range(rows[0, y, 0], rows[0, y, 1]):
         for column in range(columns[0, x, 0], columns[0, x, 1]):
-            if known[row, column] > 0.0:
+            if certainty[row, column] > 0.0:
                 share = (
-                    row_shares[0, y, row - rows[0, y, 0]] * column_shares[0, x, column - columns[0, x, 0]] * known[row, column]
+                    row_shares[0, y, row - rows[0, y, 0]]
+                    * column_shares[0, x, column - columns[0, x, 0]]
+                    * certainty[row, column]
                 )
                 weight += share
                 total += share * wp.vec3f(colours[0, row, column], colours[1, row, column], colours[2, row, column])
@@ -242,8 +244,8 @@ def average_known(
 @wp.kernel
 def fill_unknown(
     colours: wp.array3d[wp.float32],
-    known: wp.array2d[wp.float32],
-    whole: wp.array[wp.bool],
+    certainties: wp.array2d[wp.float32],
+    is_complete: wp.array[wp.bool],
     coarse: wp.array3d[wp.float32],
     rows: wp.array2d[wp.int32],
     row_shares: wp.array[wp.float32],
@@ -253,13 +255,13 @@ def fill_unknown(
 ):
     """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none if all are known."""
     y, x = wp.tid()
-    certainty = known[y, x]
+    certainty = certainties[y, x]
     fx = column_shares[x]
     fy = row_shares[y]
     for c in range(3):
-        own = colours[c, y, x]
-        if whole[0] or certainty >= 1.0:
-            out[c, y, x] = own
+        colour = colours[c, y, x]
+        if is_complete[0] or certainty >= 1.0:
+            out[c, y, x] = colour
         else:
             upper = coarse[c, rows[y, 0], columns[x, 0]]
             upper += fx * (coarse[c, rows[y, 0], columns[x, 1]] - upper)
@@ -267,7 +269,7 @@ def fill_unknown(
             lower += fx * (coarse[c, rows[y, 1], columns[x, 1]] - lower)
             filled = upper + fy * (lower - upper)
             if certainty > 0.0:
-                filled += certainty * (own - filled)
+                filled += certainty * (colour - filled)
             out[c, y, x] = filled
 
 
@@ -316,7 +318,7 @@ def compose(
     scale: wp.int32,
     image: wp.array3d[wp.float32],
     spread: wp.array2d[wp.float32],
-    seen: wp.array2d[wp.float32],
+    coverages: wp.array2d[wp.float32],
     logarithm: wp.array2d[wp.float32],
 ):
     """Views over the background (Eqs. 4-5), their spread, how many show the pixel, and the depth's logarithm."""
@@ -326,7 +328,7 @@ def compose(
     q = corners_around(enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1])
     total = wp.float32(0.0)
     visible = wp.float32(0.0)
-    shown = wp.float32(0.0)
+    coverage_sum = wp.float32(0.0)
     sums = wp.vec3f()
     for k in range(views):
         n = places[k]
@@ -334,49 +336,49 @@ def compose(
             w = blended(small, q, n)
             w *= coverage[k, y, x]
             total += w
-            shown += coverage[k, y, x]
+            coverage_sum += coverage[k, y, x]
             visible += visibilities[k, y, x]
             sums += w * wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x])
     bounded = wp.max(total, _LEAST_WEIGHT)
     unseen = wp.clamp(1.0 - wp.min(visible, 1.0), _SURE, 1.0 - _SURE)
     sure = blended(small, q, views)
     behind = 1.0 / (1.0 + wp.exp(-(sure + wp.log(unseen / (1.0 - unseen)))))
-    here = wp.vec3f()
+    colour = wp.vec3f()
     for i in range(3):
         s = views + 1 + i
         change = blended(small, q, s)
-        other = wp.clamp(background[i, y, x] + change, 0.0, 1.0)
+        behind_colour = wp.clamp(background[i, y, x] + change, 0.0, 1.0)
         front = sums[i] / bounded
-        here[i] = front + behind * (other - front)
-        image[i, y, x] = here[i]
+        colour[i] = front + behind * (behind_colour - front)
+        image[i, y, x] = colour[i]
     squares = wp.float32(0.0)
     for k in range(views):
         n = places[k]
         if n >= 0:
             w = blended(small, q, n)
-            off = wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x]) - here
+            off = wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x]) - colour
             squares += w * coverage[k, y, x] * (wp.dot(off, off) / 3.0)
     spread[y, x] = _COLOUR_GAIN * wp.sqrt(squares / bounded)
-    seen[y, x] = shown
+    coverages[y, x] = coverage_sum
     value = wp.float32(0.0)
     if depth[y, x] > 0.0:
         value = wp.log(depth[y, x])
     logarithm[y, x] = value
 
 
-def fill_holes(colours: Tensor, known: Tensor, t: Tables) -> Tensor:
+def fill_holes(colours: Tensor, certainty: Tensor, t: Tables) -> Tensor:
     """Fill what is not known, (H, W), of a picture (3, H, W) from ever coarser averages, as the compiled `push_pull`."""
-    height, width = known.shape
+    height, width = certainty.shape
     if min(height, width) < 2:
         return colours
-    small, device = ((height + 1) // 2, (width + 1) // 2), known.device
+    small, device = ((height + 1) // 2, (width + 1) // 2), certainty.device
     coarse, coarse_known = torch.empty((3, *small), device=device), torch.empty(small, device=device)
     cells = (*t.area_cells((height,), small[:1]), *t.area_cells((width,), small[1:]))
-    launch(average_known, small, colours, known, *cells, coarse, coarse_known)
+    launch(average_known, small, colours, certainty, *cells, coarse, coarse_known)
     between = (*t.between_cells(height, small[0]), *t.between_cells(width, small[1]))
     out = torch.empty_like(colours)
-    whole = (known > 0).all()[None]  # stays on the device: what is not needed is computed, and not looked at
-    launch(fill_unknown, known.shape, colours, known, whole, fill_holes(coarse, coarse_known, t), *between, out)
+    is_complete = (certainty > 0).all()[None]  # stays on the device: what is not needed is computed, and not looked at
+    launch(fill_unknown, certainty.shape, colours, certainty, is_complete, fill_holes(coarse, coarse_known, t), *between, out)
     return out
 
 
@@ -404,8 +406,8 @@ def input_channels(means: Tensor, depths: Tensor, places: Tensor, registered: bo
     fused = depths[-1]
     channels = channel_count(most, "registered" if registered else "channels")
     out = torch.zeros((channels, *fused.shape), device=fused.device)
-    seen = (means, depths, c.small_target, c.numbers, masked_median(fused, fused > 0), c.centres, c.distances, c.axes, places)
-    launch(network_channels, fused.shape, *seen, most, registered, out)
+    maps = (means, depths, c.small_target, c.numbers, masked_median(fused, fused > 0), c.centres, c.distances, c.axes, places)
+    launch(network_channels, fused.shape, *maps, most, registered, out)
     return out
 
 
@@ -417,7 +419,7 @@ def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: S
     launch(give_places, 1, maps.splats.alphas.amax(dim=(1, 2)), places, order)
     small = network.small(input_channels(means, depths, places, registered, network.config.views, c), c.weights, order)
     mean, image = (torch.empty((3, *size), device=device) for _ in range(2))
-    covered, spread, seen, logarithm = (torch.empty(size, device=device) for _ in range(4))
+    covered, spread, coverages, logarithm = (torch.empty(size, device=device) for _ in range(4))
     launch(mean_of_views, size, maps.colours, maps.coverage, maps.splats.alphas, c.weights, places, mean, covered)
     stacks = (
         maps.colours,
@@ -429,10 +431,10 @@ def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: S
         places,
         t.sizes.scale,
     )
-    launch(compose, size, *stacks, image, spread, seen, logarithm)
+    launch(compose, size, *stacks, image, spread, coverages, logarithm)
     shares = torch.empty_like(depths[:-1])
     launch(share_out, shares.shape[1:], small, means, places, shares)
-    return network.refined(image, spread, seen, logarithm, maps.fused, small), shares
+    return network.refined(image, spread, coverages, logarithm, maps.fused, small), shares
 
 
 @wp.kernel

@@ -196,13 +196,13 @@ def visibility_of(
     depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, at: wp.vec3f, tolerance: wp.float32, slack: wp.float32
 ) -> wp.float32:
     """Degree to which a view's own depth agrees that it sees a point in its image, or is forgiven: unknown depth is far away."""
-    there = depth_at(depth, width, height, at[0], at[1], tolerance)
+    view_depth = depth_at(depth, width, height, at[0], at[1], tolerance)
     visibility = wp.float32(0.0)
-    if slack > 0.0 and not (there > 0.0):
-        there = FAR_TIMES * at[2]
-    if there > 0.0:
-        allowed = wp.max(tolerance, slack * there * at[2])
-        visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / allowed, 0.0), 1.0)
+    if slack > 0.0 and not (view_depth > 0.0):
+        view_depth = FAR_TIMES * at[2]
+    if view_depth > 0.0:
+        allowed = wp.max(tolerance, slack * view_depth * at[2])
+        visibility = wp.min(wp.max(2.0 - wp.abs(view_depth - at[2]) / allowed, 0.0), 1.0)
     return visibility
 
 
@@ -250,7 +250,7 @@ def register_pixels(
     """Each view at the fused surface, mixed with its splat by visibility; colours are (K, 3, H, W)."""
     k, y, x = wp.tid()
     tolerance = numbers[TAU]
-    shown = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
+    colour = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
     visibility = wp.float32(0.0)
     at = surface_in_view(fused, maps[k], y, x, forgiven[k, 1])
     if is_inside(at, sizes[k, 0], sizes[k, 1]):
@@ -258,9 +258,9 @@ def register_pixels(
         if visibility > 0.0:
             captured = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
             share = wp.where(alphas[k, y, x] > 0.0, visibility, 1.0)  # where nothing was splatted there is nothing to mix with
-            shown += share * (captured - shown)
+            colour += share * (captured - colour)
     for c in range(3):
-        colours[k, c, y, x] = shown[c]
+        colours[k, c, y, x] = colour[c]
     coverage[k, y, x] = wp.max(visibility, FAINT * alphas[k, y, x])
     visibilities[k, y, x] = visibility
 
@@ -273,8 +273,8 @@ def settle_depth(
         return fused
     settled = torch.empty_like(fused)
     sizes = t.view_sizes if odd is None else t.view_sizes * (1 - odd)[:, None]  # in no picture of size 0 is anything seen
-    seen = (fused, images, c.to_views, sizes, splats.alphas, splats.depths, c.weights, c.numbers)
-    launch(settle_rays, fused.shape, *seen, LEAST_ALPHA, LEAST_SHARE, RATIO, settled)
+    arguments = (fused, images, c.to_views, sizes, splats.alphas, splats.depths, c.weights, c.numbers)
+    launch(settle_rays, fused.shape, *arguments, LEAST_ALPHA, LEAST_SHARE, RATIO, settled)
     return settled
 
 
@@ -294,8 +294,8 @@ def register_views(
     """
     colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
     coverage, visibilities = torch.empty_like(splats.alphas), torch.empty_like(splats.alphas)
-    seen = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, splats.features, splats.alphas, c.numbers)
-    launch(register_pixels, splats.alphas.shape, *seen, colours, coverage, visibilities)
+    arguments = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, splats.features, splats.alphas, c.numbers)
+    launch(register_pixels, splats.alphas.shape, *arguments, colours, coverage, visibilities)
     return colours, coverage, visibilities
 
 
@@ -307,6 +307,6 @@ def warp_views(depth: Tensor, images: Tensor, depths: Tensor, c: StepConstants, 
     """
     colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
     visibilities = torch.empty((len(images), *depth.shape), device=depth.device)
-    seen = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, c.numbers)
-    launch(warp_pixels, visibilities.shape, *seen, colours, visibilities)
+    arguments = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, c.numbers)
+    launch(warp_pixels, visibilities.shape, *arguments, colours, visibilities)
     return colours, visibilities

@@ -50,9 +50,9 @@ def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device)
         with program.working(launching=True):
             while True:
                 maps, crowding = _maps(program, options, room)
-                *found, needed = program.downloaded([each.contiguous() for each in (*maps.values(), crowding)])
+                *arrays, needed = program.downloaded([tensor.contiguous() for tensor in (*maps.values(), crowding)])
                 if needed[0] <= room:
-                    return dict(zip(maps, found, strict=True))
+                    return dict(zip(maps, arrays, strict=True))
                 room = ROOM * float(needed[0])
 
 
@@ -61,8 +61,8 @@ def _maps(program: Program, options: OnlineOptions, room: float) -> tuple[Mappin
     c, t, images, depths = program.constants, program.tables, program.states[0].images, program.depths
     splats = splat_views(images, depths, torch.ones_like(depths), c, t, room)
     weights, past, out = weigh_depths(depths, c, t), program.states[1].march, program.states[0].march
-    nothing = torch.full_like(out[0], -1.0)  # no past
-    march(depths, weights, past, nothing, c, t, (options.min_step, options.eta), out)
+    no_gain = torch.full_like(out[0], -1.0)  # no past
+    march(depths, weights, past, no_gain, c, t, (options.min_step, options.eta), out)
     surface = settle_depth(out[0], images, splats, c, t) if options.settled else out[0]
     warps, visibilities = warp_views(surface, images, depths, c, t)
     blended = _blend_geometrically(program, splats, warps, visibilities)

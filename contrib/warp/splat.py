@@ -257,22 +257,22 @@ def blend_tiles(
     if first < last:
         number = ids[first]
         shape = load4(records, 3 * number)
-        rest = load4(records, 3 * number + 2)
+        tail = load4(records, 3 * number + 2)
         following = ids[wp.min(first + 1, last - 1)]
         for n in range(first, last):
-            now = shape
-            own = rest
+            current_shape = shape
+            current_tail = tail
             current = number
             number = following
             shape = load4(records, 3 * number)
-            rest = load4(records, 3 * number + 2)
+            tail = load4(records, 3 * number + 2)
             following = ids[wp.min(n + 2, last - 1)]
-            dx = px - now[0]
-            along = now[2] * dx
-            dy = py - now[1]
-            ey = qy - now[1]
-            above = (along + now[3] * dy) * dx + own[0] * dy * dy
-            below = (along + now[3] * ey) * dx + own[0] * ey * ey
+            dx = px - current_shape[0]
+            along = current_shape[2] * dx
+            dy = py - current_shape[1]
+            ey = qy - current_shape[1]
+            above = (along + current_shape[3] * dy) * dx + current_tail[0] * dy * dy
+            below = (along + current_shape[3] * ey) * dx + current_tail[0] * ey * ey
             if wp.max(above, below) >= LOG2_MIN_ALPHA:
                 colour = load4(records, 3 * current + 1)
                 if above >= LOG2_MIN_ALPHA and not p_ends:
@@ -281,7 +281,7 @@ def blend_tiles(
                     p_ends = after < 1e-4
                     if not p_ends:
                         p.transmittance = after
-                        p.depth += share * own[1]
+                        p.depth += share * current_tail[1]
                         p.sums += share * colour
                 if below >= LOG2_MIN_ALPHA and not q_ends:
                     share = q.transmittance * wp.min(exp2_of(below), 0.99)
@@ -289,7 +289,7 @@ def blend_tiles(
                     q_ends = after < 1e-4
                     if not q_ends:
                         q.transmittance = after
-                        q.depth += share * own[1]
+                        q.depth += share * current_tail[1]
                         q.sums += share * colour
                 if p_ends and q_ends:
                     break
@@ -312,7 +312,7 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
         have at most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device
         alone: room is kept for a number of them, and anyone who reads the picture sees whether it was enough.
     """
-    (width, height), device = t.sizes.whole, depths.device
+    (width, height), device = t.sizes.target, depths.device
     across, down = -(-width // TILE), -(-height // TILE)
     tiles, views = across * down, len(depths)
     features, alphas = torch.empty((views, height, width, 4), device=device), torch.empty((views, height, width), device=device)
@@ -320,8 +320,8 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
     group = max((SHORT_KEYS - 1) // tiles, 1)
     for first in range(0, views, group):
         part = slice(first, min(first + group, views))
-        chosen = depths[part], c.projectors[part], images[part], masks[part]
-        needed.append(_splat_group(chosen, across, tiles, per_gaussian, (features[part], alphas[part], z[part])))
+        inputs = depths[part], c.projectors[part], images[part], masks[part]
+        needed.append(_splat_group(inputs, across, tiles, per_gaussian, (features[part], alphas[part], z[part])))
     return DeviceSplats(features, alphas, z, torch.stack(needed).amax(dim=0))
 
 

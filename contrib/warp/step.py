@@ -66,7 +66,7 @@ class State:
     @classmethod
     def empty(cls, sizes: Sizes, rows: int, device: torch.device) -> "State":
         """Return a state in which nothing is remembered."""
-        (wide, high), (width, height), (w, h), views = sizes.largest, sizes.whole, sizes.cells, len(sizes.views)
+        (wide, high), (width, height), (w, h), views = sizes.largest, sizes.target, sizes.cells, len(sizes.views)
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros(shape, dtype=dtype, device=device)
@@ -94,7 +94,7 @@ class Results:
     @classmethod
     def empty(cls, sizes: Sizes, device: torch.device) -> "Results":
         """Room for the results of a step."""
-        (width, height), (w, h), (wide, high) = sizes.whole, sizes.cells, sizes.network
+        (width, height), (w, h), (wide, high) = sizes.target, sizes.cells, sizes.network
         maps = {name: torch.zeros((h, w), device=device) for name in ("coverage", "motion", "depth")}
         maps["weights"] = torch.zeros((len(sizes.views), high, wide), device=device)
         image = torch.zeros((height, width, 3), device=device)
@@ -191,10 +191,10 @@ class Program:
     def downloaded(self, tensors: Sequence[Tensor]) -> list[Any]:
         """Copy tensors to the host and wait for them; the arrays are the caller's."""
         if not self._on_gpu:
-            return [each.numpy().copy() for each in tensors]
-        hosts = [torch.empty(each.shape, dtype=each.dtype, device="cpu", pin_memory=True) for each in tensors]
-        for host, each in zip(hosts, tensors, strict=True):
-            host.copy_(each, non_blocking=True)
+            return [tensor.numpy().copy() for tensor in tensors]
+        hosts = [torch.empty(tensor.shape, dtype=tensor.dtype, device="cpu", pin_memory=True) for tensor in tensors]
+        for host, tensor in zip(hosts, tensors, strict=True):
+            host.copy_(tensor, non_blocking=True)
         assert self.work.stream is not None
         self.work.stream.synchronize()
         return [host.numpy() for host in hosts]
@@ -260,8 +260,8 @@ class DeviceGuided:
         """Return whether the device computes the method with such options; readings that were tried and dropped it does not."""
         usual = OnlineOptions()
         options = options or usual
-        same = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
-        return guidance in ("registered", "channels") and all(getattr(options, name) == getattr(usual, name) for name in same)
+        compared = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
+        return guidance in ("registered", "channels") and all(getattr(options, name) == getattr(usual, name) for name in compared)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember what the next one needs.
@@ -283,7 +283,7 @@ class DeviceGuided:
         return np.asarray(levels, np.uint8)
 
     def _advance(
-        self, instant: Instant, wanted: Callable[[Results], Sequence[Tensor]]
+        self, instant: Instant, select: Callable[[Results], Sequence[Tensor]]
     ) -> tuple[Results, list[Map], tuple[float, float]]:
         """Make a step; its results, those that are wanted on the host, when it was queued and how many seconds it took."""
         most = self._network.config.views
@@ -308,7 +308,7 @@ class DeviceGuided:
                     else:
                         self._compute(program, before, after, clock.mark)
                     clock.mark("")
-                    *found, crowding = program.downloaded([*wanted(program.results), program.results.crowding])
+                    *arrays, crowding = program.downloaded([*select(program.results), program.results.crowding])
                 if self._room_sufficed(float(crowding[0])):
                     break
         program.warm = True
@@ -316,7 +316,7 @@ class DeviceGuided:
         self._latest = program, after, Remembered(instant.index, instant.target, cameras)
         parts = clock.seconds()
         self.details = {name: value for name, value in parts.items() if name != "step"}
-        return program.results, found, (queued_s, sum(parts.values()))
+        return program.results, arrays, (queued_s, sum(parts.values()))
 
     def _program(self, instant: Instant, sources: Sequence[SourceView]) -> tuple[Program, list[int]]:
         """Return the program of an instant's sizes, and the rows of its pairs of sources in the table of ratios."""
@@ -348,9 +348,9 @@ class DeviceGuided:
         latest, number, _ = self._latest
         if latest is program:
             return program.states[number], 1 - number
-        state, own = latest.states[number], program.states[1]
-        if latest.sizes.whole != program.sizes.whole:
-            state = State(state.images, state.depths, state.march, own.output, own.background, state.exposure)
+        state, target_state = latest.states[number], program.states[1]
+        if latest.sizes.target != program.sizes.target:
+            state = State(state.images, state.depths, state.march, target_state.output, target_state.background, state.exposure)
         return state, 0
 
     def _room_sufficed(self, needed: float) -> bool:
@@ -358,8 +358,8 @@ class DeviceGuided:
         if needed <= self._per_gaussian:
             return True
         self._per_gaussian = ROOM * needed
-        for each in self._programs.values():
-            each.forget_recordings()
+        for program in self._programs.values():
+            program.forget_recordings()
         return False
 
     def _compute(self, program: Program, before: State, after: int, mark: Mark) -> None:
@@ -368,13 +368,13 @@ class DeviceGuided:
         mark("masks and filter")
         history = before.images, before.depths
         masks, changes = filter_views(out.images, program.depths, history, c, t, options, out.depths)
-        images, depths, found = out.images, out.depths, None
+        images, depths, exposure = out.images, out.depths, None
         splatted = depths if options.splatted_depth == "filtered" else program.depths
         if options.compensated:
             mark("exposure")
-            found = exposures.estimate_exposure(images, depths, before.exposure, c, t, out.exposure)
-            images = exposures.compensate(images, found)
-            depths, splatted = (exposures.leave_out(each, found) for each in (depths, splatted))
+            exposure = exposures.estimate_exposure(images, depths, before.exposure, c, t, out.exposure)
+            images = exposures.compensate(images, exposure)
+            depths, splatted = (exposures.leave_out(depth, exposure) for depth in (depths, splatted))
         mark("fusion weights")
         weights = weigh_depths(depths, c, t)
         mark("splat")
@@ -386,15 +386,15 @@ class DeviceGuided:
         mark("contested depth")
         surface = out.march[0]
         if options.settled:
-            surface = settle_depth(surface, images, splats, c, t, found.odd if found else None)
+            surface = settle_depth(surface, images, splats, c, t, exposure.odd if exposure else None)
         mark("stillness")
         cells = rate_stillness(surface, splats, (out.images, before.images), depths, changes, c, t, options)
         mark("registration")
         maps = DeviceMaps(*register_views(surface, images, depths, splats, c, t), splats, surface)
         mark("network and composition")
         picture, shares = blend_views(self._network, maps, self._registered, c, t)
-        if found is not None:
-            picture = exposures.show_fall_off(picture, found)
+        if exposure is not None:
+            picture = exposures.show_fall_off(picture, exposure)
         mark("memories")
         if options.temporal and options.remembered:
             picture = remember_background(picture, surface, splats, cells.still, before.background, c, out.background)
@@ -437,8 +437,8 @@ class _Clock:
 
     def seconds(self) -> dict[str, float]:
         """Return the seconds of each part."""
-        spans = [(part, one, two) for (part, one), (_, two) in pairwise(self._marks)]
+        spans = [(part, begin, end) for (part, begin), (_, end) in pairwise(self._marks)]
         if self._device.type == "cuda":
             self._marks[-1][1].synchronize()
-            return {part: one.elapsed_time(two) / 1e3 for part, one, two in spans}
-        return {part: two - one for part, one, two in spans}
+            return {part: begin.elapsed_time(end) / 1e3 for part, begin, end in spans}
+        return {part: end - begin for part, begin, end in spans}

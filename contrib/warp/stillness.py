@@ -23,9 +23,9 @@ _COVERED = wp.constant(wp.float32(COVERED_ALPHA))
 _NEVER = wp.constant(wp.float32(rules.NEVER))
 _LEAST_LOOKS = wp.constant(wp.float32(rules.LEAST_LOOKS))
 _LEAST_NOISE, _MOST_NOISE = wp.constant(wp.float32(rules.LEAST_NOISE)), wp.constant(wp.float32(rules.MOST_NOISE))
-_SHARED0, _SHARED1 = (wp.constant(wp.float32(each)) for each in rules.SHARED)
-_LARGEST0, _LARGEST1 = (wp.constant(wp.float32(each)) for each in rules.LARGEST)
-_DRAGGED0, _DRAGGED1 = (wp.constant(wp.float32(each)) for each in temporal_filters.DRAGGED)
+_SHARED0, _SHARED1 = (wp.constant(wp.float32(value)) for value in rules.SHARED)
+_LARGEST0, _LARGEST1 = (wp.constant(wp.float32(value)) for value in rules.LARGEST)
+_DRAGGED0, _DRAGGED1 = (wp.constant(wp.float32(value)) for value in temporal_filters.DRAGGED)
 _BEHIND, _FORGETTING = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("BEHIND", "FORGETTING"))
 _RENEWAL, _SURE_STILL = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("RENEWAL", "SURE_STILL"))
 _HOLE = wp.constant(wp.float32(COVERED_ALPHA * (1 - geometry_guided.FEATHER)))
@@ -99,7 +99,7 @@ def between(a: wp.float32, b: wp.float32, c: wp.float32, d: wp.float32, fx: wp.f
 
 @wp.func
 def pixel_change(
-    now: wp.array4d[wp.uint8],
+    after: wp.array4d[wp.uint8],
     before: wp.array4d[wp.uint8],
     k: wp.int32,
     p: wp.int32,
@@ -108,13 +108,13 @@ def pixel_change(
     c: wp.int32,
 ):
     """Change of a channel of a view's pixel."""
-    return (wp.float32(now[k, y, x, c]) - wp.float32(before[p, y, x, c])) / 255.0
+    return (wp.float32(after[k, y, x, c]) - wp.float32(before[p, y, x, c])) / 255.0
 
 
 @wp.kernel
 def look_at_pixels(
     surface: wp.array2d[wp.float32],
-    now: wp.array4d[wp.uint8],
+    after: wp.array4d[wp.uint8],
     before: wp.array4d[wp.uint8],
     previous: wp.array[wp.int32],
     sizes: wp.array2d[wp.int32],
@@ -133,10 +133,10 @@ def look_at_pixels(
         visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0)
         n = corners_of(at, sizes[k, 0], sizes[k, 1])
         for c in range(3):
-            a = pixel_change(now, before, k, p, n.y0, n.x0, c)
-            b = pixel_change(now, before, k, p, n.y0, n.x1, c)
-            d = pixel_change(now, before, k, p, n.y1, n.x0, c)
-            e = pixel_change(now, before, k, p, n.y1, n.x1, c)
+            a = pixel_change(after, before, k, p, n.y0, n.x0, c)
+            b = pixel_change(after, before, k, p, n.y0, n.x1, c)
+            d = pixel_change(after, before, k, p, n.y1, n.x0, c)
+            e = pixel_change(after, before, k, p, n.y1, n.x1, c)
             value[c] = between(a, b, d, e, n.fx, n.fy)
     for c in range(3):
         out[k, c, y, x] = value[c] * visibility
@@ -199,8 +199,8 @@ def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], view
     width = looks.shape[3]
     total = wp.vec3f()
     energy = wp.float32(0.0)
-    seen = wp.float32(0.0)
-    own = wp.float32(0.0)
+    visibility_sum = wp.float32(0.0)
+    squares = wp.float32(0.0)
     for k in range(views):
         n = scale * views + k
         visibility = looks[n, 3, y, x]
@@ -209,17 +209,17 @@ def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], view
             weighted[c] = looks[n, c, y, x] - visibility * light_at(light[n], c, y, x, height, width)
         total += weighted
         energy += wp.dot(weighted, weighted) / 3.0
-        seen += visibility
-        own += visibility * visibility
+        visibility_sum += visibility
+        squares += visibility * visibility
     out[scale, 0, y, x] = wp.dot(total, total) / 3.0 - energy
-    out[scale, 1, y, x] = seen * seen - own
+    out[scale, 1, y, x] = visibility_sum * visibility_sum - squares
     out[scale, 2, y, x] = energy
-    out[scale, 3, y, x] = own
+    out[scale, 3, y, x] = squares
 
 
 @wp.kernel
 def judge(
-    pooled: wp.array4d[wp.float32], still: wp.array2d[wp.float32], noise: wp.array2d[wp.float32], known: wp.array2d[wp.bool]
+    pooled: wp.array4d[wp.float32], still: wp.array2d[wp.float32], noise: wp.array2d[wp.float32], is_known: wp.array2d[wp.bool]
 ):
     """Certainty by both scales, the noise energy of the coarser one, and its validity."""
     y, x = wp.tid()
@@ -236,7 +236,7 @@ def judge(
         sure *= factor
     still[y, x] = sure
     noise[y, x] = apart
-    known[y, x] = knows
+    is_known[y, x] = knows
 
 
 @wp.kernel
@@ -274,23 +274,23 @@ def rate_stillness(
         colours: change of the mean colours of their masks' cells, (K, h, w, 3).
     """
     device, views, (w, h) = surface.device, len(depths), t.sizes.cells
-    rows, columns = (t.middles((t.sizes.whole[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
+    rows, columns = (t.middles((t.sizes.target[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
     depth, coverage, masks, still, apart = (torch.empty((h, w), device=device) for _ in range(5))
     launch(take_cells, (h, w), surface, splats.features, splats.alphas, c.previous, rows, columns, depth, coverage, masks)
     lines = tuple(zip(*t.sizes.views, strict=True)), tuple(zip(*t.sizes.mask_cells, strict=True))
-    there = torch.empty(colours.shape[:3], device=device)
-    launch(take_depths, there.shape, depths, *(t.middles(lines[0][axis], lines[1][axis]) for axis in (1, 0)), there)
+    cell_depths = torch.empty(colours.shape[:3], device=device)
+    launch(take_depths, cell_depths.shape, depths, *(t.middles(lines[0][axis], lines[1][axis]) for axis in (1, 0)), cell_depths)
     looks = torch.empty((2 * views, 4, h, w), device=device)
-    seen = (depth, *images, c.previous, t.view_sizes, depths, c.to_pixels, c.numbers)
-    launch(look_at_pixels, (views, h, w), *seen, looks[:views])
-    cells = (depth, colours, c.previous, t.mask_cells, there, c.to_cells, c.numbers)
+    pixel_arguments = (depth, *images, c.previous, t.view_sizes, depths, c.to_pixels, c.numbers)
+    launch(look_at_pixels, (views, h, w), *pixel_arguments, looks[:views])
+    cells = (depth, colours, c.previous, t.mask_cells, cell_depths, c.to_cells, c.numbers)
     launch(look_at_cells, (views, h, w), *cells, looks[views:])
-    sums, known = torch.empty((2, 4, h, w), device=device), torch.empty((h, w), dtype=torch.bool, device=device)
+    sums, is_known = torch.empty((2, 4, h, w), device=device), torch.empty((h, w), dtype=torch.bool, device=device)
     launch(sum_looks, (2, h, w), looks, t.wide(looks), views, sums)
-    launch(judge, (h, w), t.pooled(sums), still, apart, known)
+    launch(judge, (h, w), t.pooled(sums), still, apart, is_known)
     widest = functional.max_pool2d(masks[None, None], 2 * rules.REACH + 1, 1, rules.REACH)[0, 0]
     sure = torch.empty_like(still)
-    launch(conclude, (h, w), still, widest, masked_median(apart, known), options.beta_mask, options.lambda_t, sure)
+    launch(conclude, (h, w), still, widest, masked_median(apart, is_known), options.beta_mask, options.lambda_t, sure)
     return Cells(depth, coverage, sure)
 
 
@@ -319,7 +319,7 @@ def compare_past(
     columns: wp.array2d[wp.int32],
     fresh: wp.array3d[wp.float32],
     out: wp.array4d[wp.float32],
-    known: wp.array2d[wp.float32],
+    has_past: wp.array2d[wp.float32],
 ):
     """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w), and if there is a past."""
     y, x = wp.tid()
@@ -336,7 +336,7 @@ def compare_past(
             out[1, c, y, x] = value - last[c, y, x]
     out[0, 3, y, x] = 1.0
     out[1, 3, y, x] = 1.0
-    known[y, x] = wp.where(counts, 1.0, 0.0)
+    has_past[y, x] = wp.where(counts, 1.0, 0.0)
 
 
 @wp.kernel
@@ -356,7 +356,7 @@ def weigh_past(
     changes: wp.array4d[wp.float32],
     still: wp.array2d[wp.float32],
     before: wp.array2d[wp.float32],
-    known: wp.array2d[wp.float32],
+    has_past: wp.array2d[wp.float32],
     most: wp.float32,
     limit: wp.float32,
     age: wp.array2d[wp.float32],
@@ -366,7 +366,7 @@ def weigh_past(
     y, x = wp.tid()
     older = wp.float32(1.0)
     weight = wp.float32(0.0)
-    if known[y, x] > 0.0:
+    if has_past[y, x] > 0.0:
         count = wp.min(before[y, x], most)
         excess = 2.0 * pooled[0, y, x] / wp.max(pooled[1, y, x], 2.0 * _LEAST_NOISE * _LEAST_NOISE) - (1.0 + 1.0 / count)
         sure = still[y, x] * falling(excess, _DRAGGED0, _DRAGGED1)
@@ -410,13 +410,13 @@ def mix_past(
 def recur(image: Tensor, still: Tensor, before: Output, limit: float, c: StepConstants, t: Tables, out: Output) -> None:
     """The output of an instant, (3, H, W), see `RecurrentOutput.step`."""
     device, (w, h) = image.device, t.sizes.cells
-    rows, columns = (t.middles((t.sizes.whole[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
-    changes, energy, known = (torch.empty(size, device=device) for size in ((2, 4, h, w), (2, h, w), (h, w)))
-    launch(compare_past, (h, w), image, before.picture, before.new, c.flags, rows, columns, out.new, changes, known)
+    rows, columns = (t.middles((t.sizes.target[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
+    changes, energy, has_past = (torch.empty(size, device=device) for size in ((2, 4, h, w), (2, h, w), (h, w)))
+    launch(compare_past, (h, w), image, before.picture, before.new, c.flags, rows, columns, out.new, changes, has_past)
     launch(dragged_energy, (2, h, w), changes, t.wide(changes), energy)
     weighted, by = torch.empty((4, h, w), device=device), torch.empty((4, h, w), device=device)
     limits = (1 + limit) / (1 - limit), limit  # of instants that a mean of such weights is worth, and of the weight
-    launch(weigh_past, (h, w), t.pooled(energy), changes, still, before.age, known, *limits, out.age, weighted)
+    launch(weigh_past, (h, w), t.pooled(energy), changes, still, before.age, has_past, *limits, out.age, weighted)
     launch(weigh_light, (h, w), weighted, t.wide(weighted), by)
     launch(mix_past, image.shape[1:], image, before.picture, by, out.picture)
 
@@ -440,35 +440,35 @@ def remember(
     for k in range(alphas.shape[0]):
         alpha = wp.max(alpha, alphas[k, y, x])
     hole = alpha < _COVERED
-    now = depth[y, x]
+    current = depth[y, x]
     keeps = flags[SHOWN] != 0 and is_finite(past, y, x) and wp.isfinite(past_depth[y, x])
     faded = past_depth[y, x] * _FORGETTING
-    fresh = now >= faded * _BEHIND and now > 0.0 and not hole
-    kept = faded
+    fresh = current >= faded * _BEHIND and current > 0.0 and not hole
+    stored = faded
     if fresh:
-        kept = now
+        stored = current
         cell_y = wp.min(wp.int32(wp.float32(y) * (wp.float32(still.shape[0]) / wp.float32(depth.shape[0]))), still.shape[0] - 1)
         cell_x = wp.min(wp.int32(wp.float32(x) * (wp.float32(still.shape[1]) / wp.float32(depth.shape[1]))), still.shape[1] - 1)
         if still[cell_y, cell_x] < _SURE_STILL:
-            kept = wp.float32(-1.0)
-    begins = hole and kept < 0.0
+            stored = wp.float32(-1.0)
+    begins = hole and stored < 0.0
     if begins:
-        kept = wp.float32(0.0)
+        stored = wp.float32(0.0)
     if not keeps:
-        kept = wp.where(hole, 0.0, now)
-    out_depth[y, x] = kept
+        stored = wp.where(hole, 0.0, current)
+    out_depth[y, x] = stored
     weight = wp.clamp((_COVERED - alpha) / _HOLE, 0.0, 1.0)
     for c in range(3):
-        own = image[c, y, x]
-        colour = own
+        new = image[c, y, x]
+        colour = new
         if keeps and not fresh and not begins:
             colour = past[c, y, x]
-        if keeps and hole and kept <= 0.0:
-            colour += _RENEWAL * (own - colour)
+        if keeps and hole and stored <= 0.0:
+            colour += _RENEWAL * (new - colour)
         out[c, y, x] = colour
-        filled[c, y, x] = own
+        filled[c, y, x] = new
         if keeps and hole:
-            filled[c, y, x] = own + weight * (colour - own)
+            filled[c, y, x] = new + weight * (colour - new)
 
 
 def remember_background(

@@ -27,12 +27,12 @@ class Sizes:
 
     Attributes:
         views: of the sources, nearest first.
-        whole: of the target.
+        target: of the view that is rendered.
         scale: how many times fewer pixels the network works on, per side.
     """
 
     views: tuple[Size, ...]
-    whole: Size
+    target: Size
     scale: int
 
     @property
@@ -57,12 +57,12 @@ class Sizes:
     @property
     def network(self) -> Size:
         """Of the network's maps."""
-        return -(-self.whole[0] // self.scale), -(-self.whole[1] // self.scale)
+        return -(-self.target[0] // self.scale), -(-self.target[1] // self.scale)
 
     @property
     def cells(self) -> Size:
         """Of maps of stillness."""
-        return -(-self.whole[0] // rules.REDUCTION), -(-self.whole[1] // rules.REDUCTION)
+        return -(-self.target[0] // rules.REDUCTION), -(-self.target[1] // rules.REDUCTION)
 
     @property
     def mask_cells(self) -> tuple[Size, ...]:
@@ -89,7 +89,7 @@ class Tables:
         self.area_cells = cache(self.area_cells)  # type: ignore[method-assign]
         self.between_cells = cache(self.between_cells)  # type: ignore[method-assign]
         self.middles = cache(self.middles)  # type: ignore[method-assign]
-        self.past_size(*sizes.whole)  # made now: a first instant may read a state of another size
+        self.past_size(*sizes.target)  # made now: a first instant may read a state of another size
         self.widening = cache(self.widening)  # type: ignore[method-assign]
         self.pooling = cache(self.pooling)  # type: ignore[method-assign]
 
@@ -113,7 +113,7 @@ class Tables:
 
     def area_cells(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> tuple[Tensor, Tensor]:
         """Cut lines of pixels into equal cells: first and last pixel of each, (N, cells, 2), and their shares, (N, cells, n)."""
-        cut = [_area_cells(*each) for each in zip(lengths, counts, strict=True)]
+        cut = [_area_cells(*pair) for pair in zip(lengths, counts, strict=True)]
         ends = np.zeros((len(cut), max(counts), 2), np.int64)
         shares = np.zeros((len(cut), max(counts), max(part.shape[1] for _, part in cut)))
         for n, (end, share) in enumerate(cut):
@@ -129,8 +129,8 @@ class Tables:
     def middles(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> Tensor:
         """Return the pixel in the middle of each cell of lines, (N, cells)."""
         places = np.zeros((len(lengths), max(counts)), np.int64)
-        for n, each in enumerate(zip(lengths, counts, strict=True)):
-            places[n, : each[1]] = rules.middles(*each)
+        for n, pair in enumerate(zip(lengths, counts, strict=True)):
+            places[n, : pair[1]] = rules.middles(*pair)
         return self.tensor(places)
 
     def widening(self, size: int) -> Tensor:
@@ -207,14 +207,14 @@ class Corners:
 @wp.func
 def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width: wp.int32) -> Corners:
     """Return the corners of a place in pixels, 0 in the middle of the first; the last pixel repeats beyond the image."""
-    found = Corners()
-    found.y0 = wp.min(wp.int32(row), height - 1)
-    found.x0 = wp.min(wp.int32(column), width - 1)
-    found.y1 = wp.min(found.y0 + 1, height - 1)
-    found.x1 = wp.min(found.x0 + 1, width - 1)
-    found.fy = row - wp.float32(found.y0)
-    found.fx = column - wp.float32(found.x0)
-    return found
+    corners = Corners()
+    corners.y0 = wp.min(wp.int32(row), height - 1)
+    corners.x0 = wp.min(wp.int32(column), width - 1)
+    corners.y1 = wp.min(corners.y0 + 1, height - 1)
+    corners.x1 = wp.min(corners.x0 + 1, width - 1)
+    corners.fy = row - wp.float32(corners.y0)
+    corners.fx = column - wp.float32(corners.x0)
+    return corners
 
 
 @wp.func

@@ -91,10 +91,10 @@ def _await(doing: str, jobs: list[Future[T]]) -> list[T]:
 def _description(options: DemoOptions) -> str:
     """Return the text of demo.json; of options that came later it names those that are used, so that old demos stay valid."""
     unused = {name for name in LATER if getattr(options, name) == getattr(DemoOptions, name)}
-    chosen = {name: value for name, value in asdict(options).items() if name not in unused}
+    used_options = {name: value for name, value in asdict(options).items() if name not in unused}
     described = {
         "version": VERSION,
-        "options": chosen,
+        "options": used_options,
         "units_per_metre": LAYOUTS[options.layout].units_per_metre,
         "path_time_s": options.path_frame / options.fps,
         "camera_gains": [[round(float(value), 6) for value in gain] for gain in camera_gains(options)],

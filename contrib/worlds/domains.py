@@ -131,5 +131,5 @@ def domain_options(name: str, seed: int, width: int | None = None, height: int |
 def _drawn(name: str, domain: Domain, seed: int) -> dict[str, Any]:
     """Return the strengths of a training capture; plain rooms keep those that they have always had."""
     rng = np.random.default_rng([seed, 84] if name == PLAIN else [seed, 87, *name.encode()])
-    drawn = {option: float(rng.uniform(*limits)) for option, limits in domain.strengths.items()}
-    return {option: round(value) if option == "jpeg_quality" else value for option, value in drawn.items()}
+    values = {option: float(rng.uniform(*limits)) for option, limits in domain.strengths.items()}
+    return {option: round(value) if option == "jpeg_quality" else value for option, value in values.items()}

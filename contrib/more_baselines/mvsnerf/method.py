@@ -91,8 +91,8 @@ def render_rays(network: RadianceNetwork, volume: Volume, centre: Tensor, rays: 
     to_reference = torch.as_tensor(volume.cameras[0].rotation.astype(np.float32))
     directions = (rays / rays.norm(dim=-1, keepdim=True)) @ to_reference.T
     places = volume.places(points_world)
-    seen = torch.cat([volume.look_up(places), volume.colours(points_world)], dim=-1)
-    colours, density = network(places, seen, directions.repeat_interleave(SAMPLES, dim=0))
+    features = torch.cat([volume.look_up(places), volume.colours(points_world)], dim=-1)
+    colours, density = network(places, features, directions.repeat_interleave(SAMPLES, dim=0))
     return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES), depths)
 
 

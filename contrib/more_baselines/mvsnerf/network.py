@@ -133,19 +133,19 @@ class RadianceNetwork(nn.Module):
         self.alpha_linear = nn.Linear(HIDDEN_WIDTH, 1)
         self.rgb_linear = nn.Linear(HIDDEN_WIDTH // 2, 3)
 
-    def forward(self, places: Tensor, seen: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, places: Tensor, features: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the colour and density of each sample.
 
         Args:
             places: in the volume, its sides from 0 to 1, (N, 3).
-            seen: features of the volume there, and of each view colour and whether it sees the sample, (N, 8 + 12).
+            features: features of the volume there, and of each view colour and whether it sees the sample, (N, 8 + 12).
             directions: of the target's ray in the frame of the reference, unit, (N, 3).
 
         Returns:
             RGB, (N, 3), and density per sample, not per length, (N,).
         """
         encoded = encode(places)
-        scale, hidden = self.pts_bias(seen), encoded
+        scale, hidden = self.pts_bias(features), encoded
         for i, layer in enumerate(self.pts_linears):
             hidden = layer(hidden).mul_(scale).relu_()  # in place, as memory is what takes the time
             if i == SKIPPING_LAYER:
@@ -186,5 +186,5 @@ def load_mvsnerf(path: Path) -> Networks:
     """
     networks = Networks()
     for name, network in networks.named_children():
-        load_strict(read_tensors(path, f"{name}_state_dict", of="MVSNeRF"), network, path, "MVSNeRF")
+        load_strict(read_tensors(path, f"{name}_state_dict", model="MVSNeRF"), network, path, "MVSNeRF")
     return networks.eval().requires_grad_(False)

@@ -58,15 +58,15 @@ class Volume:
 
     def colours(self, points_world: Tensor) -> Tensor:
         """RGB of each view at points (N, 3), that of the border outside its image, and 1 within it or 0, (N, 3 * 4)."""
-        seen = []
+        columns = []
         for image, camera in zip(self.images, self.cameras, strict=True):
             uvz = project(camera, points_world, self.near)
             grid = 2 * uvz[:, :2] / uvz.new_tensor([image.shape[2] - 1, image.shape[1] - 1]) - 1
             sampled = functional.grid_sample(
                 image[None], grid[None, None], mode="bilinear", padding_mode="border", align_corners=True
             )
-            seen += [sampled[0, :, 0].T, _inside(grid)[:, None]]
-        return torch.cat(seen, dim=-1)
+            columns += [sampled[0, :, 0].T, _inside(grid)[:, None]]
+        return torch.cat(columns, dim=-1)
 
 
 def _with_margin(share: Tensor, cells: int) -> Tensor:
@@ -98,9 +98,9 @@ def encode_volume(network: Encoding, sources: Sequence[SourceView], near: float,
     """
     images = [torch.as_tensor(source.image).permute(2, 0, 1).float() / 255 for source in sources]
     height, width = (_padded(max(image.shape[axis] for image in images)) for axis in (1, 2))
-    whole = torch.stack([_pad(image, height, width) for image in images])
-    mean, deviation = (whole.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_DEVIATION))
-    normalised = (whole - mean) / deviation
+    padded = torch.stack([_pad(image, height, width) for image in images])
+    mean, deviation = (padded.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_DEVIATION))
+    normalised = (padded - mean) / deviation
     features = network.feature(normalised)
     small = functional.interpolate(normalised, features.shape[2:], mode="bilinear", align_corners=False)
     cameras = tuple(source.camera for source in sources)
@@ -142,8 +142,8 @@ def cost_volume(features: Tensor, colours: Tensor, cameras: Sequence[Camera], ne
         for view, (warp, directions) in enumerate(zip(warps, turned, strict=True), start=1):
             projected = directions * depth + warp[:3, 3]
             places = 2 * projected[..., :2] / projected[..., 2:].clamp(min=SMALLEST_DEPTH_SHARE * near) / largest - 1
-            shown = torch.cat([colours[view], features[view]])[None]
-            warped = functional.grid_sample(shown, places[None], mode="bilinear", align_corners=True)[0]
+            stacked = torch.cat([colours[view], features[view]])[None]
+            warped = functional.grid_sample(stacked, places[None], mode="bilinear", align_corners=True)[0]
             volume[3 * view : 3 * view + 3, plane] = warped[:3]
             total, squares, count = total + warped[3:], squares + warped[3:].square(), count + _inside(places)
         volume[3 * VIEWS :, plane] = squares / count - (total / count).square()

@@ -65,16 +65,16 @@ class AttentionLayer(nn.Module):
         """The normalisation of what is added."""
         return self.norm1 if self.mlp is None else self.norm2
 
-    def forward(self, views: Tensor, others: Tensor | None, blocks: list[Block]) -> Tensor:
+    def forward(self, views: Tensor, context: Tensor | None, blocks: list[Block]) -> Tensor:
         """Update the features of every view.
 
         Args:
             views: (K, h, w, C).
-            others: what each view sees of the others, features of all K; None if each looks at itself.
+            context: what each view sees of the others, features of all K; None if each looks at itself.
         """
-        target = views if others is None else others
-        seen = _attend(self.q_proj(views), self.k_proj(target), self.v_proj(target), blocks, across=others is not None)
-        message = self.norm1(self.merge(seen))
+        target = views if context is None else context
+        attended = _attend(self.q_proj(views), self.k_proj(target), self.v_proj(target), blocks, across=context is not None)
+        message = self.norm1(self.merge(attended))
         if self.mlp is not None:
             message = self.norm2(self.mlp(torch.cat([views, message], dim=-1)))
         return views + message
@@ -82,23 +82,23 @@ class AttentionLayer(nn.Module):
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, blocks: list[Block], across: bool) -> Tensor:
     """Return the sum of the values of a window's cells, those of the own view or those of all others, all (K, h, w, C)."""
-    seen = torch.empty_like(query)
+    attended = torch.empty_like(query)
     for rows, columns, down, right in blocks:
-        asked, keys, values = (_windows(maps[:, rows, columns], down, right) for maps in (query, key, value))  # (K, n, L, C)
+        queries, keys, values = (_windows(maps[:, rows, columns], down, right) for maps in (query, key, value))  # (K, n, L, C)
         if across:
             answers = torch.cat(
-                [attention(asked[view, None], _others(keys, view), _others(values, view)) for view in range(len(query))]
+                [attention(queries[view, None], _others(keys, view), _others(values, view)) for view in range(len(query))]
             )
         else:
-            answers = attention(asked, keys, values)
-        seen[:, rows, columns] = _whole(answers, down, right, seen[:, rows, columns].shape)
-    return seen
+            answers = attention(queries, keys, values)
+        attended[:, rows, columns] = _whole(answers, down, right, attended[:, rows, columns].shape)
+    return attended
 
 
 def _others(windows: Tensor, view: int) -> Tensor:
     """Return the windows of all views but one, side by side as one each, (K, n, L, C) to (1, n, (K - 1) * L, C)."""
-    others = torch.cat([windows[:view], windows[view + 1 :]])
-    return others.transpose(0, 1).flatten(1, 2)[None]
+    windows_left = torch.cat([windows[:view], windows[view + 1 :]])
+    return windows_left.transpose(0, 1).flatten(1, 2)[None]
 
 
 def _windows(maps: Tensor, down: int, right: int) -> Tensor:
@@ -125,8 +125,8 @@ class TransformerBlock(nn.Module):
 
     def forward(self, views: Tensor, blocks: list[Block]) -> Tensor:
         """Return the features of all views (K, h, w, C); the others are seen as they came in."""
-        looked: Tensor = self.cross_attn_ffn(self.self_attn(views, None, blocks), views, blocks)
-        return looked
+        features: Tensor = self.cross_attn_ffn(self.self_attn(views, None, blocks), views, blocks)
+        return features
 
 
 class Transformer(nn.Module):
@@ -169,11 +169,11 @@ def _cuts(side: int, length: int, shift: int) -> Iterator[tuple[slice, int]]:
     """Yield the stretches of a side, each with the number of equal windows in it."""
     if shift:
         yield slice(0, shift), 1
-    whole = (side - shift) // length
-    if whole:
-        yield slice(shift, shift + whole * length), whole
-    if shift + whole * length < side:
-        yield slice(shift + whole * length, side), 1
+    n_windows = (side - shift) // length
+    if n_windows:
+        yield slice(shift, shift + n_windows * length), n_windows
+    if shift + n_windows * length < side:
+        yield slice(shift + n_windows * length, side), 1
 
 
 def window_position(height: int, width: int, channels: int) -> Tensor:

@@ -45,8 +45,8 @@ class JointAttention(nn.Module):
         cells = features.flatten(2)  # (K, C, h * w)
         joined = self.qkv(cells).transpose(0, 1).reshape(self.heads, 3, channels // self.heads, -1)  # heads first, then q, k, v
         query, key, value = (part.transpose(-1, -2)[None].contiguous() for part in joined.unbind(1))  # (1, heads, K * h * w, C')
-        seen = functional.scaled_dot_product_attention(query, key, value)
-        apart = seen[0].transpose(-1, -2).reshape(channels, count, height * width).transpose(0, 1)
+        attended = functional.scaled_dot_product_attention(query, key, value)
+        apart = attended[0].transpose(-1, -2).reshape(channels, count, height * width).transpose(0, 1)
         changed: Tensor = self.norm(self.proj_out(apart))
         return (cells + changed).reshape(features.shape)
 
@@ -225,14 +225,14 @@ def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:
     last = features.new_tensor([width - 1, height - 1])
     at_once = max(MOST_AT_ONCE // features[0].numel(), 1)
     for view in range(count):
-        for other in (each for each in range(count) if each != view):
-            turn, shift = (torch.as_tensor(part).float() for part in _homography(views, view, other))
+        for partner in (index for index in range(count) if index != view):
+            turn, shift = (torch.as_tensor(part).float() for part in _homography(views, view, partner))
             rays = cells @ turn.T
             similar = []
             for depths in (1 / disparities).split(at_once):
                 points = rays * depths[:, None, None, None] + shift  # (d, h, w, 3)
                 places = 2 * points[..., :2] / points[..., 2:].clamp(min=SMALLEST_Z) / last - 1
-                warped = _look_up(features[other], places.reshape(-1, width, 2))
+                warped = _look_up(features[partner], places.reshape(-1, width, 2))
                 alike = warped.reshape(channels, -1, height, width) * features[view, :, None]
                 similar.append(alike.sum(dim=0))
             sums[view] = sums[view] + torch.cat(similar)
@@ -244,15 +244,15 @@ def _look_up(features: Tensor, places: Tensor) -> Tensor:
     return functional.grid_sample(features[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=True)[0]
 
 
-def _homography(views: Views, view: int, other: int) -> tuple[np.ndarray, np.ndarray]:
+def _homography(views: Views, view: int, partner: int) -> tuple[np.ndarray, np.ndarray]:
     """Cell (x, y, 1) of a view at depth z to z' (x', y', 1) in another: ``turn @ cell * z + shift``.
 
     Reading:
         As the authors', cells are at whole numbers of intrinsics whose pixel centres are at halves; both views are off by the
         same eighth of a cell.
     """
-    K, other_K = (np.diag([1 / SCALE, 1 / SCALE, 1]) @ views.K[each] for each in (view, other))
-    move = np.linalg.inv(views.camera_to_world[other]) @ views.camera_to_world[view]
+    K, other_K = (np.diag([1 / SCALE, 1 / SCALE, 1]) @ views.K[index] for index in (view, partner))
+    move = np.linalg.inv(views.camera_to_world[partner]) @ views.camera_to_world[view]
     return other_K @ move[:3, :3] @ np.linalg.inv(K), other_K @ move[:3, 3]
 
 

@@ -53,12 +53,12 @@ def begin_as_plane_sweep(backbone: Backbone, predictor: DepthPredictor) -> None:
 def _sweep(predictor: DepthPredictor) -> None:
     """Costs as they are, averaged twice over 3 x 3 cells: GELU(x) - GELU(-x) is x."""
     planes = torch.eye(predictor.candidates)
-    both = torch.cat([planes, -planes])  # (2 D, D)
+    signed_planes = torch.cat([planes, -planes])  # (2 D, D)
     costs, features = planes[..., None, None], torch.zeros_like(_weight(predictor.regressor_residual))[:, len(planes) :]
     _fill(predictor.corr_refine_net[4], FAINT * _weight(predictor.corr_refine_net[4]))
     _fill(predictor.regressor_residual, torch.cat([SHARPNESS * costs, features], dim=1))
-    _fill(predictor.depth_head_lowres[0], _averaging(both))
-    _fill(predictor.depth_head_lowres[2], _averaging(both.T))
+    _fill(predictor.depth_head_lowres[0], _averaging(signed_planes))
+    _fill(predictor.depth_head_lowres[2], _averaging(signed_planes.T))
 
 
 def _averaging(mixing: Tensor) -> Tensor:
@@ -153,7 +153,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwo
     """
     configuration = configuration_of(path, CONFIGURATIONS, OF)
     bare = configuration is not None or path.suffix == ".safetensors"
-    tensors = read_tensors(path, *(() if bare else ("state_dict",)), of=OF)
+    tensors = read_tensors(path, *(() if bare else ("state_dict",)), model=OF)
     network = MvsplatNetwork(configuration or "full")
     load_strict({name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}, network, path, OF)
     return network.eval().to(device)

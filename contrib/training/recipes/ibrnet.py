@@ -39,14 +39,14 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
     def terms(self, network: Networks, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Return the squared error of both passes."""
         target, truth = sample.instant.target, sample.truth_tensor.flatten(1).T  # (H * W, 3)
-        drawn = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
+        pixels = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
         centre = torch.as_tensor(target.centre).float()
-        rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()[drawn]
+        rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()[pixels]
         views = see(network, sample.instant.sources)
         rough, (colours, _, _) = render_passes(network, views, centre, rays, *depth_range(sample.instant))
         return {
-            "coarse_loss": (rough - truth[drawn]).square().mean(),
-            "fine_loss": (colours - truth[drawn]).square().mean(),
+            "coarse_loss": (rough - truth[pixels]).square().mean(),
+            "fine_loss": (colours - truth[pixels]).square().mean(),
         }
 
     def rendered(self, network: Networks, instant: Instant) -> Tensor:

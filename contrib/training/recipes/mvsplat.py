@@ -74,8 +74,8 @@ def _disparity_error(disparities: Sequence[Tensor], views: Views, instant: Insta
     for number, source in enumerate(instant.sources):
         height, width = source.depth.shape
         depth = torch.as_tensor(np.ascontiguousarray(source.depth))
-        known = depth > 0
-        truth = 1 / (views.unit * depth[known])
-        errors += [(maps[number, 0, :height, :width][known] - truth).abs() for maps in disparities]
+        mask = depth > 0
+        truth = 1 / (views.unit * depth[mask])
+        errors += [(maps[number, 0, :height, :width][mask] - truth).abs() for maps in disparities]
     every = torch.cat(errors)
     return every.sum() / max(len(every), 1)

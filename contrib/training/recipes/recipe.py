@@ -70,8 +70,8 @@ class TrainingRecipe(ABC, Generic[Network]):
     def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
         """Return the loss of one crop, the weighted sum of its terms, and these for the log; arguments as of `terms`."""
         terms = self.terms(network, sample, step)
-        first, *others = (weight * terms[name] for name, weight in self.weights(step).items())
-        return sum(others, first), terms
+        first, *terms_left = (weight * terms[name] for name, weight in self.weights(step).items())
+        return sum(terms_left, first), terms
 
     @abstractmethod
     def terms(self, network: Network, sample: "InstantSample", step: int) -> "dict[str, Tensor]":

@@ -77,12 +77,12 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
         candidates = within_rule(capture, target, plan)
         shares = {camera.name: overlap(target, camera) for camera in candidates}
         enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
-        pool = enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]
+        pool = enough if len(enough) >= plan.views else sorted(candidates, key=lambda view: -shares[view.name])[: plan.views]
     else:
         wide = rng.random() < plan.wide_share
         pool = nearest_cameras(target, capture.cameras, min(2 * plan.views, len(capture.cameras) - 1) if wide else plan.views)
-    drawn = [pool[index] for index in rng.choice(len(pool), plan.views, replace=False)]
-    return target, nearest_cameras(target, drawn, plan.views)
+    sources = [pool[index] for index in rng.choice(len(pool), plan.views, replace=False)]
+    return target, nearest_cameras(target, sources, plan.views)
 
 
 def is_sequence(capture: Capture) -> bool:
@@ -134,7 +134,7 @@ def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5
     middle = (numbers[0] + numbers[-1] + 1) // 2 if numbers else 0
     learned = [camera for camera, number in zip(capture.cameras, numbers, strict=False) if number < middle]
     later = [camera for camera, number in zip(capture.cameras, numbers, strict=False) if number >= middle + span]
-    apart = [camera for camera in later if all(overlap(camera, other) <= most_overlap for other in learned)]
+    apart = [camera for camera in later if all(overlap(camera, known_view) <= most_overlap for known_view in learned)]
     if not learned or not apart:
         raise TrainingError(
             f"{capture.path}: wanted a sequence of one moving camera, longer than {2 * span} frames, whose second half sees "
@@ -146,12 +146,12 @@ def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5
 
 def restricted(capture: Capture, names: Collection[str]) -> Capture:
     """Return the capture with some of its cameras only, in its own order, without a note of it."""
-    kept = [index for index, name in enumerate(capture.camera_names) if name in names]
+    indices = [index for index, name in enumerate(capture.camera_names) if name in names]
     return replace(
         capture,
-        cameras=tuple(capture.cameras[index] for index in kept),
-        sources=tuple(capture.sources[index] for index in kept),
-        extras=tuple(capture.extras[index] for index in kept) if capture.extras else (),
+        cameras=tuple(capture.cameras[index] for index in indices),
+        sources=tuple(capture.sources[index] for index in indices),
+        extras=tuple(capture.extras[index] for index in indices) if capture.extras else (),
     )
 
 

@@ -161,16 +161,16 @@ def raw_views(inputs: BlendingInputs) -> RawViews:
     splatted, warps = blend_maps(inputs, "none"), []
     for source in sources:
         image = source.image.astype(np.float32) / np.float32(255)
-        given = target, inputs.depth, source.camera, image, source.depth, inputs.tau
-        warps.append(warp(*given, bicubic=True, forgiven_px=inputs.forgiven_px))
+        arguments = target, inputs.depth, source.camera, image, source.depth, inputs.tau
+        warps.append(warp(*arguments, bicubic=True, forgiven_px=inputs.forgiven_px))
     return RawViews(
         target,
         splatted.sources,
         splats=splatted.colours,
         depths=np.stack(splatted.depths),
         alphas=np.stack(splatted.alphas),
-        warps=np.stack([each.colour for each in warps]),
-        visibilities=np.stack([each.visibility for each in warps]),
+        warps=np.stack([view.colour for view in warps]),
+        visibilities=np.stack([view.visibility for view in warps]),
         fused_depth=inputs.depth,
         shares=splatted.shares,
     )

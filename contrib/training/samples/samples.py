@@ -60,13 +60,13 @@ class SampleMaker:
                 self._depths[key] = estimator.estimate(self.image(source), [self.image(partner) for partner in partners])
         return self._depths[key]
 
-    def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
+    def _view(self, source: Camera, depth_map: DepthMap, partners: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
         """Return a source, its depth checked against that of the others, as it is prepared for a view."""
         image = self.image(source)
         if self._sensor(source) is None:
-            checked = check_depth(source, depth_map, others, self._options)
+            checked = check_depth(source, depth_map, partners, self._options)
         else:
-            checked = check_measured_depth(source, image, depth_map, others, self._options)
+            checked = check_measured_depth(source, image, depth_map, partners, self._options)
         return SourceView(source, image, checked.depth, checked.confidence)
 
     def _sensor(self, source: Camera) -> DepthSource | None:
@@ -187,9 +187,9 @@ class SamplePool(Generic[Sample]):
     def __len__(self) -> int:
         return sum(source.count for source in self.sources)
 
-    def __add__(self, other: "SamplePool[Sample]") -> "SamplePool[Sample]":
+    def __add__(self, pool: "SamplePool[Sample]") -> "SamplePool[Sample]":
         """Both, one after the other: of one kind, in one folder."""
-        return SamplePool(self._folder, self.kind, self.sources + other.sources)
+        return SamplePool(self._folder, self.kind, self.sources + pool.sources)
 
     @property
     def data(self) -> str:

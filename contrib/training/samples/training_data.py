@@ -263,8 +263,8 @@ def prepare_samples(training: SamplePool[Sample], validation: SamplePool[Sample]
 
 def _training_rooms(data: TrainingOptions, views: int, domains: tuple[str, ...]) -> list[RoomPlan]:
     """Return a plan per domain, some of its samples with another K."""
-    others = tuple(count for count in range(2, data.views + 1) if count != views)
-    shared = {"views": views, "other_views": others, "other_share": 0.4 if others else 0.0}
+    view_counts = tuple(count for count in range(2, data.views + 1) if count != views)
+    shared = {"views": views, "other_views": view_counts, "other_share": 0.4 if view_counts else 0.0}
     return domain_plans(domains, data.rooms, data.targets, **shared) if data.rooms else []
 
 

@@ -180,9 +180,9 @@ class Footage:
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
         """Yield all frames; requested depths are written next to the demo, multiplied by a scale."""
         options, name = self.options, self.shot.camera.name
-        with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as kept:
+        with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as writer:
             for index, frame in enumerate(self.frames()):
-                kept.add(index, frame.depth * np.float32(depth_scale))
+                writer.add(index, frame.depth * np.float32(depth_scale))
                 yield frame
 
     def empty_room(self) -> Frame:

@@ -157,8 +157,8 @@ class DemoOptions:
     def _check_names(self, option: str, names: list[str]) -> None:
         unknown = [name for name in names if name not in self.camera_names]
         if unknown:
-            there = f"{self.camera_names[0]}..{self.camera_names[-1]}" if len(self.camera_names) > 1 else self.camera_names[0]
-            raise CaptureError(f"demo: {option} names {', '.join(unknown)}, the cameras are {there}; correct the name")
+            cameras = f"{self.camera_names[0]}..{self.camera_names[-1]}" if len(self.camera_names) > 1 else self.camera_names[0]
+            raise CaptureError(f"demo: {option} names {', '.join(unknown)}, the cameras are {cameras}; correct the name")
         if len(set(names)) < len(names):
             raise CaptureError(f"demo: {option} wants each camera once, got {', '.join(names)}; keep one value")
 

@@ -84,10 +84,10 @@ def _background_points(footage: Footage, empty: Frame) -> NDArray[np.void]:
     camera, options = footage.shot.camera, footage.options
     count = min(BACKGROUND_POINTS // len(options.camera_names), empty.depth.size)
     rng = np.random.default_rng([options.seed, 9, int(easymocap_name(camera))])
-    chosen = np.sort(rng.choice(empty.depth.size, count, replace=False))
-    uv = camera.pixel_centres().reshape(-1, 2)[chosen]
+    pixels = np.sort(rng.choice(empty.depth.size, count, replace=False))
+    uv = camera.pixel_centres().reshape(-1, 2)[pixels]
     points = np.empty(count, POINT)
-    points["xyz"] = camera.unproject(uv, empty.depth.ravel()[chosen].astype(np.float64)) / UNITS_PER_METRE
+    points["xyz"] = camera.unproject(uv, empty.depth.ravel()[pixels].astype(np.float64)) / UNITS_PER_METRE
     points["rgb"] = _colours(empty.image, camera, footage.shot.lens, uv)
     return points
 

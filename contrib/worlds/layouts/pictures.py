@@ -100,8 +100,8 @@ def write_panoptic(folder: Path, footage: Footage) -> Camera:
 def finish_panoptic(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
     """Write both files, and ``depth_range.toml``, since they have no depth."""
     for file, is_test in zip(METAS, (False, True), strict=True):
-        chosen = [camera for index, camera in enumerate(cameras) if (index % EVERY == 1) == is_test]
-        (folder / file).write_text(json.dumps(_meta(chosen, options.n_frames)), encoding="utf-8")
+        views = [camera for index, camera in enumerate(cameras) if (index % EVERY == 1) == is_test]
+        (folder / file).write_text(json.dumps(_meta(views, options.n_frames)), encoding="utf-8")
     write_depth_range(folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras))
 
 
@@ -171,7 +171,7 @@ def rgbd_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
     kinds = (("color", "jpg"), ("depth", "png"), ("pose", "txt"))
     frames = [f"{folder}/{index}.{kind}" for folder, kind in kinds for index in range(options.n_frames)]
-    return [*(f"intrinsic/{what}_{kind}.txt" for what in ("intrinsic", "extrinsic") for kind in ("color", "depth")), *frames]
+    return [*(f"intrinsic/{part}_{kind}.txt" for part in ("intrinsic", "extrinsic") for kind in ("color", "depth")), *frames]
 
 
 def _camera_to_world(camera: Camera) -> Array:

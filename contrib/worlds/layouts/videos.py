@@ -127,8 +127,8 @@ def finish_colmap(folder: Path, options: DemoOptions, cameras: Sequence[Camera])
     points = surface_points(options)
     by_camera = [_read_part(folder, camera) for camera in on_rig]
     views = np.bincount(np.concatenate([sights.point for sights in by_camera]), minlength=len(points))
-    kept = [sights.rows(views[sights.point] >= LEAST_VIEWS) for sights in by_camera]
-    write_model(folder / MODEL, on_rig, kept, points)
+    sightings = [sights.rows(views[sights.point] >= LEAST_VIEWS) for sights in by_camera]
+    write_model(folder / MODEL, on_rig, sightings, points)
     write_path_poses(folder, on_path)
 
 

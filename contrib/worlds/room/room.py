@@ -76,8 +76,8 @@ def screen(name: str, corner: tuple[float, float, float], width: float, height: 
 
     def at(time_s: float) -> list[Surface]:
         panned = np.roll(np.concatenate([photo, photo[:, ::-1]], axis=1), -round(160 * time_s), axis=1)[:, :512]
-        shown = np.rint(panned * screen_colour(time_s, phase_rad)).astype(np.uint8)
-        return [panel(corner, (width, 0, 0), (0, 0, height), Material(shown, (width, height), 0.15, 120, emission=0.8))]
+        image = np.rint(panned * screen_colour(time_s, phase_rad)).astype(np.uint8)
+        return [panel(corner, (width, 0, 0), (0, 0, height), Material(image, (width, height), 0.15, 120, emission=0.8))]
 
     return at
 
@@ -109,9 +109,9 @@ WALLS: tuple[Colour, ...] = ((0.78, 0.7, 0.58), (0.6, 0.68, 0.64), (0.72, 0.6, 0
 def walls(rng: np.random.Generator, half_width: float, back: float, floor_wood: Colour) -> list[Surface]:
     """Return the six inner sides of the room; the wall behind the rig is plain, as no camera sees it."""
     wide, deep, flat = (2 * half_width, CEILING_M), (back - FRONT_M, CEILING_M), (2 * half_width, back - FRONT_M)
-    wall, other = (WALLS[k] for k in rng.permutation(len(WALLS))[:2])
-    back_wall = Material(_back_wall(rng, wide, wall, other), wide)
-    left, right = (Material(textures.plaster(rng, deep, other), deep) for _ in range(2))
+    wall, second_wall = (WALLS[k] for k in rng.permutation(len(WALLS))[:2])
+    back_wall = Material(_back_wall(rng, wide, wall, second_wall), wide)
+    left, right = (Material(textures.plaster(rng, deep, second_wall), deep) for _ in range(2))
     floor = Material(textures.boards(rng, flat, floor_wood), flat, 0.12, 30)
     ceiling = Material(textures.plaster(rng, flat, (0.9, 0.88, 0.84)), flat)
     up, across, along = (0, 0, CEILING_M), np.array([2 * half_width, 0, 0]), np.array([0, back - FRONT_M, 0])
@@ -125,10 +125,10 @@ def walls(rng: np.random.Generator, half_width: float, back: float, floor_wood: 
     ]
 
 
-def _back_wall(rng: np.random.Generator, size_m: textures.Size, wall: Colour, other: Colour) -> Image8:
+def _back_wall(rng: np.random.Generator, size_m: textures.Size, wall: Colour, second_wall: Colour) -> Image8:
     kind = str(rng.choice(("wallpaper", "bricks", "plaster")))
     if kind == "wallpaper":
-        return textures.wallpaper(rng, size_m, wall, other)
+        return textures.wallpaper(rng, size_m, wall, second_wall)
     if kind == "bricks":
         return textures.bricks(rng, size_m, (0.6, 0.36, 0.28), (0.68, 0.64, 0.58))
     return textures.plaster(rng, size_m, wall)

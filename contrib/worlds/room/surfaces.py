@@ -106,14 +106,14 @@ def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.
         uv: of all sheets, (n, m, 2), metres.
     """
     normals = unit(np.cross(np.gradient(points, axis=2), np.gradient(points, axis=1)))
-    both = np.stack([points, points - thickness_m * normals]).reshape(-1, 3)
+    vertices = np.stack([points, points - thickness_m * normals]).reshape(-1, 3)
     count, size = 2 * len(points), points.shape[1] * points.shape[2]
     index = np.arange(size).reshape(points.shape[1:3])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     faces = (size * np.arange(count)[:, None, None] + faces).reshape(-1, 3)
     normals = np.stack([normals, -normals]).reshape(-1, 3)
-    return Surface(both, normals, faces, np.tile(uv.reshape(-1, 2), (count, 1)), material)
+    return Surface(vertices, normals, faces, np.tile(uv.reshape(-1, 2), (count, 1)), material)
 
 
 def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:

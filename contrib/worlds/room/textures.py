@@ -164,10 +164,10 @@ def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Map:
 
 def _cosine_of_multiple(multiple: int, cosine: Map) -> Map:
     """Return the cosine of a multiple, at least 1, of the angles that have these cosines (Chebyshev)."""
-    before, now = np.ones_like(cosine), cosine
+    before, cosine_now = np.ones_like(cosine), cosine
     for _ in range(multiple - 1):
-        before, now = now, 2 * cosine * now - before
-    return now
+        before, cosine_now = cosine_now, 2 * cosine * cosine_now - before
+    return cosine_now
 
 
 def _shape(size_m: Size) -> tuple[int, int]:
