@@ -13,11 +13,12 @@ pytestmark = pytest.mark.slow
 
 # Whoever lowers a figure lowers its limit. The plan: a package of 575,000 tokens, tests of 520,000, `score` with 70 modules and
 # 14,000 lines, `evaluate` with 110 and 21,000, 150 names of the core in contrib, no pronoun as a name.
-MOST_TOKENS = {"core": 462_038, "contrib": 188_131, "tests": 537_650}
-MOST_REACHED = {"pipelines.run.score": (52, 8_710), "pipelines.run.evaluate": (109, 20_044)}
+MOST_TOKENS = {"core": 462_033, "contrib": 188_130, "tests": 537_647}
+MOST_REACHED = {"pipelines.run.score": (52, 8_702), "pipelines.run.evaluate": (109, 20_041)}
 MOST_CORE_NAMES_IN_CONTRIB = 402
 MOST_API_NAMES = 150
-MOST_PRONOUNS = 1_717
+MOST_PRONOUNS = 325
+MOST_PRONOUNS_IN_TRUNK = 3  # public fields: `measured` of findings and faults, `ours` of methods
 
 
 def test_rooms_hold_no_more_tokens_than_before():
@@ -49,7 +50,10 @@ def test_parts_may_use_no_more_of_the_trunk_than_before():
 
 def test_names_are_nouns():
     """`each`, `found` and `kept` name nothing: no more of them than before."""
-    assert house_measures.pronouns_as_names().total() <= MOST_PRONOUNS
+    trunk = house_measures.reached_modules("pipelines.run.score")
+
+    assert house_measures.pronouns_as_names(house_measures.modules()).total() <= MOST_PRONOUNS
+    assert house_measures.pronouns_as_names(trunk).total() <= MOST_PRONOUNS_IN_TRUNK
 
 
 def test_docstrings_and_line_breaks_are_no_code(tmp_path):

@@ -119,7 +119,7 @@ def certainty_captions(
     """
     level = f"{100 * LEVEL:.0f} %"
     bounded = [one for judgement in judgements.values() for one in judgement.intervals.values() if one.low is not None]
-    conditions = dict.fromkeys(f", given {', '.join(interval.given)}" for interval in bounded if interval.given)
+    conditions = dict.fromkeys(f", given {', '.join(interval.conditions)}" for interval in bounded if interval.conditions)
     given = "".join(conditions)
     brief = [f"±: {level} interval."] if bounded else []
     captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []

@@ -169,7 +169,7 @@ def test_whole_canvases_stay_within_a_multiple_of_the_image(ahead):
     walked = np.array(right.world_to_camera)
     walked[2, 3] -= ahead
     cameras = left, replace(right, world_to_camera=walked)
-    pair = rectify(*cameras, whole=True)
+    pair = rectify(*cameras, entire=True)
     width, height = pair.left.camera.size
     assert (width - 8) * (height - 8) <= MOST_PIXELS * left.width * left.height
     shrunken = pair.left.camera.focal_px < left.focal_px * (1 - 1e-9)

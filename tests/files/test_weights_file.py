@@ -79,7 +79,7 @@ def test_absent_keys_are_refused_by_name(tensors, tmp_path):
         with pytest.raises(WeightsError, match=message):
             read_tensors(tmp_path / "a.pth", *keys)
     with refused(WeightsError, "a.safetensors", "under model", "got none", NETWORK):
-        read_tensors(tmp_path / "a.safetensors", "model", of=NETWORK)
+        read_tensors(tmp_path / "a.safetensors", "model", model=NETWORK)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -109,7 +109,7 @@ def test_absent_files_and_folders_are_refused(suffix, tmp_path):
 
     for name in ("absent", "folder"):
         with refused(WeightsError, f"{name}.{suffix}", NETWORK):
-            read_tensors(tmp_path / f"{name}.{suffix}", of=NETWORK)
+            read_tensors(tmp_path / f"{name}.{suffix}", model=NETWORK)
 
 
 @pytest.mark.parametrize("name", ["hostile.pth", "hostile.old.pth", "hostile.safetensors"])

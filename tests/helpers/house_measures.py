@@ -48,14 +48,12 @@ def is_contrib(module: str) -> bool:
     return module.split(".")[0] == "contrib"
 
 
-def tokens_of_rooms() -> dict[str, int]:
+def tokens_of_rooms() -> Counter[str]:
     """Tokens of the core, of contrib and of the tests."""
-    files = {
-        "core": [file for module, file in modules().items() if not is_contrib(module)],
-        "contrib": [file for module, file in modules().items() if is_contrib(module)],
-        "tests": list(TESTS.rglob("*.py")),
-    }
-    return {room: sum(map(code_tokens, room_files)) for room, room_files in files.items()}
+    tokens = Counter(tests=sum(map(code_tokens, TESTS.rglob("*.py"))))
+    for module, file in modules().items():
+        tokens["contrib" if is_contrib(module) else "core"] += code_tokens(file)
+    return tokens
 
 
 @cache
@@ -112,11 +110,11 @@ def core_names_in_contrib() -> set[tuple[str, str]]:
     return {(module, name) for names in of_contrib for module, name in names if not is_contrib(module)}
 
 
-def pronouns_as_names() -> Counter[str]:
-    """How often each pronoun is bound as a name: by assignments, loops, comprehensions and parameters."""
+def pronouns_as_names(names: Iterable[str]) -> Counter[str]:
+    """How often modules bind each pronoun as a name: by assignments, loops, comprehensions and parameters."""
     counts: Counter[str] = Counter()
-    for file in modules().values():
-        for node in ast.walk(parsed(file)):
+    for name in names:
+        for node in ast.walk(parsed(modules()[name])):
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
                 counts[node.id] += node.id in PRONOUNS
             elif isinstance(node, ast.arg):
@@ -131,4 +129,4 @@ if __name__ == "__main__":
         reached = reached_modules(f"pipelines.run.{task}")
         print(f"{task} reaches {len(reached)} modules, {count_lines(reached):,} lines")
     print(f"contrib imports {len(core_names_in_contrib())} names of the core")
-    print(f"{pronouns_as_names().total():,} pronouns as names: {pronouns_as_names().most_common(8)}")
+    print(f"{pronouns_as_names(modules()).total():,} pronouns as names: {pronouns_as_names(modules()).most_common(8)}")

@@ -89,7 +89,7 @@ def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
 
     attempt = attempt_tasks([killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, "")
 
-    assert (attempt.done, attempt.failures) == (7, ())
+    assert (attempt.n_done, attempt.failures) == (7, ())
     assert (root / "killed" / "square.txt").read_text() == "9"
     assert sorted(item.name for item in root.iterdir()) == ["killed", *(f"s{number}" for number in range(6))]
 
@@ -102,7 +102,7 @@ def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path)
 
     attempt = attempt_tasks([killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, "")
 
-    assert attempt.done == 3
+    assert attempt.n_done == 3
     assert [failure.name for failure in attempt.failures] == ["killed"]
     assert "memory" in attempt.failures[0].message
     # What the last process to be killed leaves unfinished, the next command sweeps.
@@ -144,7 +144,7 @@ def test_kept_processes_that_die_are_replaced(tmp_path):
     """A killed worker costs no result of its stage, and the next stage has workers too."""
     with kept_workers():
         attempt = attempt_tasks([killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, "")
-        assert (attempt.done, attempt.failures) == (2, ())
+        assert (attempt.n_done, attempt.failures) == (2, ())
         assert len(processes_of(tmp_path, range(4))) == 2
 
 
@@ -228,7 +228,7 @@ def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
     jobs = [Task(f"{n}", tmp_path / f"s{n}", inputs={"number": n}, make=partial(give_up, n)) for n in range(3)]
     attempt = attempt_tasks(jobs, 2, "")
     (failure,) = attempt.failures
-    assert attempt.done == 2
+    assert attempt.n_done == 2
     assert "status 3" in failure.message
     assert "licence not found" in failure.message
     assert "memory" not in failure.message
@@ -278,7 +278,7 @@ def test_without_semaphores_one_process_does_all(reason, monkeypatch, tmp_path, 
 
     attempt = attempt_tasks([*jobs, Task("n", tmp_path / "n", inputs={}, make=fail_here)], 2, "")
 
-    assert attempt.done == 3
+    assert attempt.n_done == 3
     assert all(made.is_done() for made in jobs)
     assert "not here" in str(attempt.failures[0])
     assert "running in one process" in capsys.readouterr().err

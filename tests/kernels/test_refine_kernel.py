@@ -143,7 +143,7 @@ def test_outputs_are_composed_as_the_twin_does(seed, width, height, views, scale
     np.testing.assert_allclose(found.picture, picture[0].numpy(), atol=1e-5)
     # The root makes much of weights near 0.
     np.testing.assert_allclose(np.clip(10 * found.spread, 0, 1), sure[0], atol=1e-3)
-    np.testing.assert_allclose(np.clip(found.shown / 3, 0, 1), sure[1], atol=1e-6)
+    np.testing.assert_allclose(np.clip(found.coverage / 3, 0, 1), sure[1], atol=1e-6)
 
 
 @settings(deadline=None, max_examples=20)

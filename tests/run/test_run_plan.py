@@ -242,7 +242,7 @@ def test_time_is_that_of_frames_that_are_rendered(demo_capture, protocol, finish
     shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
     work = count_work([planned(root, demo_capture, protocol)], root)
     of_method = [task for task in work.left if task.pace == LABELS[0]]
-    assert estimate(of_method, work.done, lambda: float("nan")).seconds > 0
+    assert estimate(of_method, work.history, lambda: float("nan")).seconds > 0
     assert [duration(seconds) for seconds in (7.2, 119, 121, 7199, 9000)] == ["7 s", "119 s", "2 min", "120 min", "2.5 h"]
 
 

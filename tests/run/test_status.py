@@ -21,7 +21,7 @@ def test_time_left_is_that_of_the_running_and_the_waiting_tasks(tmp_path):
 
     (stage,) = read_status(tmp_path)
 
-    assert (stage.done, stage.in_hand, stage.missing) == (1, ("task1",), ("task2", "task3"))
+    assert (stage.n_done, stage.in_hand, stage.missing) == (1, ("task1",), ("task2", "task3"))
     assert stage.left_s == pytest.approx(90)
 
 
@@ -35,4 +35,4 @@ def test_what_is_made_together_counts_once(tmp_path):
 
     (stage,) = read_status(tmp_path)
 
-    assert (stage.done, stage.missing) == (1, ("scores of cam01",))
+    assert (stage.n_done, stage.missing) == (1, ("scores of cam01",))

@@ -49,7 +49,7 @@ def test_squares_add_up(matrix):
     parts = decompose(matrix)
     total = matrix.size * parts.mean**2 + parts.ss_view + parts.ss_time + parts.ss_rest
     assert total == pytest.approx(np.square(matrix).sum(), rel=1e-12)
-    np.testing.assert_allclose(parts.mean + parts.view[:, None] + parts.time + parts.rest, matrix, rtol=1e-12)
+    np.testing.assert_allclose(parts.mean + parts.view[:, None] + parts.time + parts.residual, matrix, rtol=1e-12)
     assert sum(parts.shares().values()) == pytest.approx(1.0)
 
 

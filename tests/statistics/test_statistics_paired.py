@@ -15,10 +15,10 @@ from helpers.refusals import refused
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
 
 
-def judge(results, metric, higher_is_better, dataset, own=(), incomparable=None) -> Judgement:
+def judge(results, metric, higher_is_better, dataset, own_labels=(), incomparable=None) -> Judgement:
     """The judgement of a table of one metric."""
     ranking = Ranking(metric, higher_is_better, incomparable=incomparable or {})
-    return judge_table(results, [ranking], dataset, own).judgements[metric]
+    return judge_table(results, [ranking], dataset, own_labels).judgements[metric]
 
 
 def make_shared(seed: int = 0, views: int = 6, frames: int = 60):
@@ -170,10 +170,10 @@ def test_variants_are_no_rivals_of_their_method():
     shared = make_shared()
     values = {"x": shared - 0.5, "own": shared, "own+less": shared + 0.3}
     rows = [row for at, (label, one) in enumerate(values.items()) for row in make_rows(label, "PSNR", one + make_noise(at, 0.1))]
-    judgement = judge(make_results(rows), "PSNR", True, "Demo", own=("own", "own+less"))
+    judgement = judge(make_results(rows), "PSNR", True, "Demo", own_labels=("own", "own+less"))
     assert (judgement.winner, judgement.rivals, judgement.marked) == ("own", ("x",), {"own", "own+less"})
     assert judgement.variants["own+less"].outcome == "better"
-    alone = judge(make_results(rows[len(rows) // 3 :]), "PSNR", True, "Demo", own=("own", "own+less"))
+    alone = judge(make_results(rows[len(rows) // 3 :]), "PSNR", True, "Demo", own_labels=("own", "own+less"))
     assert (alone.winner, alone.variants) == ("own+less", {})
 
 

@@ -152,7 +152,7 @@ def test_what_fails_is_listed_and_the_rest_is_done(words, undisturbed, tmp_path,
     assert "failed: k2: no-blending in cam00" in said.err
     assert "damaged" not in said.out
     stage = read_status(out)[0]
-    assert (stage.done + len(stage.failed), len(stage.missing)) == (JOBS, 0)
+    assert (stage.n_done + len(stage.failed), len(stage.missing)) == (JOBS, 0)
     assert all(broken.name in failure.message for failure in stage.failed)
     status(out)
     assert "failed   k2: no-blending in cam00" in capsys.readouterr().out
@@ -172,9 +172,9 @@ def test_status_counts_what_is_there(undisturbed, tmp_path, capsys):
 
     status(undisturbed)
 
-    assert (render.done, render.in_hand, render.failed, render.missing) == (JOBS, (), (), ())
+    assert (render.n_done, render.in_hand, render.failed, render.missing) == (JOBS, (), (), ())
     assert render.n_bytes == sum(file.stat().st_size for file in files)
-    assert (score.done, of_k2.done) == (2 * len(VIEWS), JOBS // 2)
+    assert (score.n_done, of_k2.n_done) == (2 * len(VIEWS), JOBS // 2)
     assert f"render: {JOBS} done, 0 running, 0 failed, 0 missing" in capsys.readouterr().out
     with pytest.raises(ResultsError, match="wanted a run or a sweep with renders"):
         read_status(tmp_path)

@@ -108,7 +108,7 @@ def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
     reasons = [ledger.failure(task.made) for task in (mended, other)]
     attempt_tasks([mended], 1, "", ledger)
 
-    assert failed.done == 0
+    assert failed.n_done == 0
     assert list(failed.failures) == [reasons[0]]
     assert "cam00 is gone" in str(reasons[0])
     assert reasons[1] is None

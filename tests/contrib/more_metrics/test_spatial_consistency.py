@@ -90,7 +90,7 @@ def test_regions_of_a_true_path_agree():
     """The room rendered exactly: within 0.05 degrees and 0.02 of a step, a twentieth of a pixel on the map."""
     assert 0 < exact().rotation < 0.05**2
     assert 0 < exact().translation < 0.02**2
-    assert exact().measured >= 0.5
+    assert exact().measured_share >= 0.5
     assert np.nanmedian(exact().bend_px) < 0.05
 
 
@@ -181,7 +181,7 @@ def test_it_is_measured_only_where_it_is_named():
     whole = {name: value for name, pose, value in asked.values if pose is None}
 
     assert not set(NAMES) & {*unasked.not_computed, *(name for name, _, _ in unasked.values)}
-    assert [whole[name] for name in NAMES] == [exact().rotation, exact().translation, exact().measured]
+    assert [whole[name] for name in NAMES] == [exact().rotation, exact().translation, exact().measured_share]
     assert [(pose, value) for name, pose, value in asked.values if name == "SGC_rotation" and pose is not None] == [
         (pose, rotation) for pose, rotation, _ in exact().steps
     ]

@@ -125,7 +125,7 @@ def test_outside_of_what_cameras_see_a_picture_fades(playback, stock):
     outside = view.picture(replace(request, pose=moved(request.pose, 3.0)))
     farther = view.picture(replace(request, pose=moved(request.pose, 6.0)))
     assert outside.is_outside
-    assert farther.seen < outside.seen < inside.seen
+    assert farther.seen_share < outside.seen_share < inside.seen_share
     grey = [
         np.abs(each.faded.astype(int) - 128).mean() / np.abs(each.image.astype(int) - 128).mean() for each in (outside, farther)
     ]
