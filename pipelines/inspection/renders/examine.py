@@ -99,8 +99,9 @@ def _comb(on: NDArray[np.float64], off: NDArray[np.float64]) -> tuple[float, flo
 
 # Period of the traces, px, and the factors that leave them; a rational factor p/q repeats after p pixels.
 PERIODS_PX = {2.0: "2", 3.0: "3 or 1.5", 4.0: "4 or 1.33", 2.5: "2.5 or 1.67", 5.0: "5 or 1.25"}
-# Renders had 2.6 at most; linear interpolation gives 3.7 to 50, cubic by 2 leaves no period and looks like blur.
-LIKELY_PEAK, CERTAIN_PEAK = 4.5, 9.0
+# Renders had 2.6 at most, those of networks that interpolate features 16; linear interpolation of the picture gives 3.7 to 50,
+# cubic by 2 leaves no period and looks like blur.
+LIKELY_PEAK, CERTAIN_PEAK = 4.5, 20.0
 # Energy above the smaller picture's finest frequencies relative to the truth's; honest blur also lowers it, without a period.
 LARGEST_FINE_SHARE = 0.35
 # Repeated pixels have edges too, but also peaks of 90 and more.
@@ -126,7 +127,7 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
         f"{100 * share:.0f} % of the finest detail is left"
     )
     values = {"period_px": period, "peak": strength, "fine_share": share}
-    advice = "rendered at a smaller size and enlarged? render at the full size"
+    advice = "enlarged, or of a network that interpolates features? render at the full size"
     return [Finding(name, "up-scaled", verdict, text, values, advice)]
 
 
