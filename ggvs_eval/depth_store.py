@@ -52,7 +52,7 @@ class DepthMap:
 
 
 def is_known(depth: Map) -> Mask:
-    """Return the mask the depth that is positive and finite; any other value of a map is unknown."""
+    """Mask the depth that is positive and finite; any other value of a map is unknown."""
     return (depth > 0) & (depth < np.inf)
 
 

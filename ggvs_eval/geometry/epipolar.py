@@ -212,7 +212,7 @@ def sound_matches(first: Camera, second: Camera, pair: MatchedPair) -> tuple[NDA
 
 
 def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
-    """Return the pair every camera with its `count` nearest, each pair once, smaller index first.
+    """Pair every camera with its `count` nearest, each pair once, smaller index first.
 
     Near means near in place and in viewing direction: cameras back to back are close and share nothing.
     """

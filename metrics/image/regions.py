@@ -25,7 +25,7 @@ BETA = 0.6
 
 
 def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
-    """Return the mask the pixels where the captured view moves, by the paper's difference mask (Eq. 1).
+    """Mask the pixels where the captured view moves, by the paper's difference mask (Eq. 1).
 
     Args:
         truth: captured frame, (H, W, 3) uint8.

@@ -147,7 +147,7 @@ def odd_ones(likeness: Array) -> NDArray[np.bool_]:
 
 
 def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int], Array]:
-    """Return the pair every two sources by what they see together, at the lattices of both.
+    """Pair every two sources by what they see together, at the lattices of both.
 
     Args:
         sources: the views.

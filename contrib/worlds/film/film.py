@@ -222,7 +222,7 @@ class Footage:
 
 
 def lit_room(seed: int, scene: SceneName = "room") -> LitRoom:
-    """Return the light the room or garden of a seed; the last one is kept, as it takes seconds."""
+    """Light the room or garden of a seed; the last one is kept, as it takes seconds."""
     return _lit_room(seed, scene)
 
 

@@ -39,7 +39,7 @@ BLACK_LEVEL = 0.02
 
 
 def defocus(linear: Array32, radius_px: float) -> Array32:
-    """Return the spread every point into a disc with a soft rim, linear light, (H, W, 3)."""
+    """Spread every point into a disc with a soft rim, linear light, (H, W, 3)."""
     if not radius_px:
         return linear
     reach = int(np.ceil(radius_px + 0.5))
@@ -95,7 +95,7 @@ def sharpen(image: Array32, strength: float) -> Array32:
 
 
 def brightness(image: Array32) -> Array32:
-    """Return the Luma of an sRGB picture, (H, W, 3), after BT.601, (H, W)."""
+    """Return the luma of an sRGB picture, (H, W, 3), after BT.601, (H, W)."""
     return LUMA[0] * image[..., 0] + LUMA[1] * image[..., 1] + LUMA[2] * image[..., 2]
 
 
