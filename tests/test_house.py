@@ -17,8 +17,8 @@ MOST_TOKENS = {"core": 462_033, "contrib": 188_130, "tests": 537_647}
 MOST_REACHED = {"pipelines.run.score": (52, 8_702), "pipelines.run.evaluate": (109, 20_041)}
 MOST_CORE_NAMES_IN_CONTRIB = 402
 MOST_API_NAMES = 150
-MOST_PRONOUNS = 325
-MOST_PRONOUNS_IN_TRUNK = 3  # public fields: `measured` of findings and faults, `ours` of methods
+MOST_PRONOUNS = 326
+MOST_PRONOUNS_IN_TRUNK = 4  # public fields: `measured` of findings and faults, `ours` and `given` of methods
 
 
 def test_rooms_hold_no_more_tokens_than_before():

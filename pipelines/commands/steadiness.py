@@ -42,10 +42,8 @@ def steadiness(
         )
     result = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
     where = "in all pixels" if mask is None else f"where {mask.name} is white"
-    table, remarks = (
-        steadiness_table(result.metrics, result.values, result.not_computed, where),
-        remarks_on(result.shapes),
-    )
+    table = steadiness_table(result.metrics, result.values, result.not_computed, where)
+    remarks = remarks_on(result.shapes)
     print(to_markdown([table], remarks), end="")
     if out is not None:
         write_steadiness(out, table, remarks)

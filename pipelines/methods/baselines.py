@@ -29,7 +29,7 @@ def learned_method(baseline: LearnedBaseline) -> OnlineMethod:
         f"{baseline.title}{RETRAINED.format(retrained)}" if retrained else baseline.title,
         baseline.describe,
         baseline.method,
-        arguments=baseline.options,
+        given=baseline.options,
         takes=("weights", "device"),
         weights=(shipped(baseline.weights),) if retrained else (),
         checkpoint=f"{baseline.checkpoint}, not included; pass them by --weights {baseline.name}=FILE",

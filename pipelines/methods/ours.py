@@ -28,7 +28,7 @@ NO_TEMPORAL = replace(
     OURS,
     title="GGVS (online), no temporal filtering",
     describe="without temporal depth filter, temporal term of the ray march and recurrent output",
-    arguments={"guidance": "registered", "temporal": False},
+    given={"guidance": "registered", "temporal": False},
     takes=("device",),
     departs=INSTANT,
 )
@@ -36,7 +36,7 @@ NO_TSDF = replace(
     OURS,
     title="GGVS (online), no TSDF guidance",
     describe="no fused depth; the network was trained without it",
-    arguments={"guidance": "none", "fused": False},
+    given={"guidance": "none", "fused": False},
     takes=("device",),
     departs=UNFUSED,
     weights=(shipped("blend-no-tsdf.safetensors"),),
@@ -45,7 +45,7 @@ NAIVE = replace(
     NO_TSDF,
     title="Naive Network",
     describe="splatted views alone: the network was trained without any depth, neither fused nor of the views",
-    arguments={"guidance": "naive", "fused": False},
+    given={"guidance": "naive", "fused": False},
     weights=(shipped("blend-naive.safetensors"),),
 )
 GEOMETRIC = OnlineMethod(
@@ -60,7 +60,7 @@ GEOMETRIC_NO_TEMPORAL = replace(
     GEOMETRIC,
     title="GGVS (online), geometric weights, no temporal filtering",
     describe=NO_TEMPORAL.describe,
-    arguments={"temporal": False},
+    given={"temporal": False},
     takes=(),
     departs=INSTANT,
 )
@@ -68,14 +68,14 @@ POINT_SPLAT = replace(
     GEOMETRIC,
     title="GGVS (online), geometric weights, point splats",
     describe="views rendered forward as points of one pixel, not as pixel-sized Gaussians",
-    arguments={"splatted_as": "points"},
+    given={"splatted_as": "points"},
     takes=(),
 )
 NO_BACKGROUND = replace(
     GEOMETRIC,
     title="GGVS (online), geometric weights, no background blending",
     describe="areas without a source view stay black",
-    arguments={"background": False},
+    given={"background": False},
     takes=(),
 )
 OFFLINE = OnlineMethod(

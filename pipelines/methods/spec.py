@@ -187,7 +187,7 @@ class OnlineMethod(MethodSpec):
 
     Attributes:
         maker: class of what renders one sequence, or its ``module:class``, which is imported only then.
-        arguments: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
+        given: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
             ``enerf+scale=0.5`` has any method render at a fraction of the size.
         takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a checkpoint, and ``options``, which
             are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
@@ -200,7 +200,7 @@ class OnlineMethod(MethodSpec):
 
     maker: str | Callable[..., Method]
     _: KW_ONLY
-    arguments: Mapping[str, Any] = field(default_factory=dict)
+    given: Mapping[str, Any] = field(default_factory=dict)
     takes: tuple[str, ...] = ()
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
@@ -226,12 +226,12 @@ class OnlineMethod(MethodSpec):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Options in `arguments` that the label fixes."""
-        return {name: value for name, value in self.arguments.items() if name not in TAKEN}
+        """Options in `given` that the label fixes."""
+        return {name: value for name, value in self.given.items() if name not in TAKEN}
 
     def make(self) -> Method:
         """Make a fresh object that renders one sequence."""
-        arguments = dict(self.arguments)
+        arguments = dict(self.given)
         scale = arguments.pop("scale", None)
         if self.checkpoint and not self.weights:
             raise WeightsError(f"{self.title_from or self.title}: wanted weights {self.checkpoint}")
@@ -261,7 +261,7 @@ class OnlineMethod(MethodSpec):
         Raises:
             RenderError: unknown options, or an invalid scale.
         """
-        values, arguments, departs = option_values(variant), dict(self.arguments), self.departs
+        values, arguments, departs = option_values(variant), dict(self.given), self.departs
         if "scale" in values:
             arguments["scale"] = scale = values.pop("scale")
             if type(scale) is not float or not 0 < scale < 1 or not self.online:
@@ -272,18 +272,18 @@ class OnlineMethod(MethodSpec):
             arguments["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
             departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
-        return replace(self, title=title, arguments=arguments, departs=departs)
+        return replace(self, title=title, given=arguments, departs=departs)
 
     def on(self, device: str) -> "OnlineMethod":
         """Return the method with its networks on a device."""
         if device == self.device or "device" not in self.takes:
             return self
-        return replace(self, arguments={**self.arguments, "device": device}, device=device)
+        return replace(self, given={**self.given, "device": device}, device=device)
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
         """Return the method with a file of weights that the user gave."""
-        arguments, takes = {**self.arguments, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
-        return replace(self, title=self.title_from or self.title, arguments=arguments, takes=takes, weights=(checkpoint,))
+        arguments, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
+        return replace(self, title=self.title_from or self.title, given=arguments, takes=takes, weights=(checkpoint,))
 
 
 class ForeignMethod:
