@@ -104,14 +104,13 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     for module in (train_one, train_all):
         monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(samples[1] + samples[0]))
     request = TrainingOptions(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
-    planned = [request, replace(request, device="cpu")]
-    for each in planned:
-        train_one.planned_task("blend", tmp_path, each)
-        train_all.prepare_all(tmp_path, each, [("blend", "registered")])
+    for options in (request, replace(request, device="cpu")):
+        train_one.planned_task("blend", tmp_path, options)
+        train_all.prepare_all(tmp_path, options, [("blend", "registered")])
     monkeypatch.setattr(train_one, "DEVICE_PARTS", {})
     train_one.planned_task("blend", tmp_path, request)
-    jobs = [[pickle.loads(pickle.dumps(job)) for job in samples.jobs()] for samples in prepared]
-    assert [{job.args[1].device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3
+    tasks = [[pickle.loads(pickle.dumps(task)) for task in samples.tasks()] for samples in prepared]
+    assert [{task.make.args[1].device for task in made} for made in tasks] == [{DEVICE}] * 2 + [{"cpu"}] * 3
 
 
 def test_workers_that_share_a_gpu_fit_into_it(monkeypatch):
