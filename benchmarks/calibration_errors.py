@@ -3,7 +3,8 @@
 import numpy as np
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.geometry.alignment import pose_differences, rig_extent
+from ggvs_eval.geometry.alignment import pose_differences
+from ggvs_eval.pipelines.inspection.capture.poses import rig_extent
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration
 
 
@@ -21,7 +22,7 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
     truth = {camera.name: camera for camera in given.cameras}
     distances, angles_rad = pose_differences(calibration.cameras, truth)
     common = [(camera, truth[name].resized(*camera.size)) for name, camera in calibration.cameras.items() if name in truth]
-    centre_percent = 100 * distances / rig_extent(truth)
+    centre_percent = 100 * distances / rig_extent(truth.values())
     focal_percent = [100 * abs(camera.focal_px / true.focal_px - 1) for camera, true in common]
     return {
         "n_given": len(truth),

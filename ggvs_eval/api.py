@@ -34,7 +34,6 @@ from ggvs_eval import (
     side_process,
 )
 from ggvs_eval.datasets import (
-    array_file,
     assemble,
     camera_frames,
     colmap_model,
@@ -58,6 +57,7 @@ from ggvs_eval.datasets.refusal import calibration_mark
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.datasets.unread_files import unused_note
 from ggvs_eval.files import (
+    array_file,
     atomic,
     coding,
     colmap_text,

@@ -45,6 +45,10 @@ class CaptureError(GgvsError):
     """A capture on disk is incomplete, unreadable or contradicts itself."""
 
 
+class OutOfStepError(CaptureError):
+    """Cameras of unequal lengths or rates; pairing their frames by time opens them."""
+
+
 class CameraError(GgvsError):
     """Invalid camera: NaN, non-rotation or zero size."""
 

@@ -218,6 +218,12 @@ def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
         '8 columns of it are missi'
     """
     columns, rows = calibrated[0] - frames[0], calibrated[1] - frames[1]
+    if rows == 0 > columns and frames[0] % calibrated[0] == 0:
+        n_beside = frames[0] // calibrated[0]
+        return (
+            f"each frame holds {n_beside} pictures side by side: cut them into one video or folder per camera, ffmpeg -i IN -vf "
+            f"crop=iw/{n_beside}:ih:0:0 OUT.mp4 for the first"
+        )
     if min(columns, rows) < 0:
         return "use the calibrated frames, scaled but not cropped"
     counts = [f"{count} {noun}" for count, noun in ((columns, "columns"), (rows, "rows")) if count]
@@ -225,7 +231,8 @@ def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
     return (
         f"{' and '.join(counts)} of it are missing. If they were cut off, give the first column and row of the frames: "
         f"'ggvs-eval check {path} --crop 0 0' where they are cut at the right and the bottom, as codecs do, {centred} where on "
-        "all sides ('crop' in capture.toml); if the frames were scaled unevenly, give those that were not"
+        "all sides ('crop' in capture.toml). If 'colmap image_undistorter' wrote the frames, take the sparse/ that it "
+        "wrote beside them for the model, or the original frames; if they were scaled unevenly, give those that were not"
     )
 
 

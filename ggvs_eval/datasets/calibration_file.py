@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, describe_crop
 from ggvs_eval.datasets.calibration_readers import (
     FileCamera,
     read_anipose,
@@ -17,12 +17,13 @@ from ggvs_eval.datasets.calibration_readers import (
 from ggvs_eval.datasets.camera_frames import find_frames
 from ggvs_eval.datasets.easymocap import read_lenses
 from ggvs_eval.datasets.filestorage_yaml import LARGEST_FILE_BYTES
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.media import folders_beside
 from ggvs_eval.datasets.rig import RigCamera, pinhole_rig
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.listing import list_entries
+from ggvs_eval.files.listing import list_entries, list_files_below
 from ggvs_eval.files.names import listed
 from ggvs_eval.files.plain import read_plain_text
 
@@ -124,14 +125,17 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    try:
-        found = find_frames(folder, {name: f"{name}.png" for name in file.cameras})
-    except CaptureError:
-        stems = {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values() if camera.stem}
-        if len(stems) < len(file.cameras):
-            raise
-        file = replace(file, cameras=stems)
-        found = find_frames(folder, {name: f"{name}.png" for name in stems})
+    named = [file.cameras, {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values()}]
+    errors = []
+    for by_name in named[: 1 + (len(named[1]) == len(named[0]))]:
+        try:
+            found = find_frames(folder, {name: f"{name}.png" for name in by_name})
+            break
+        except CaptureError as error:
+            errors.append(f"{_find(path, kind)[1][0]}: {error}{_side_by_side(folder, file)}")
+    else:
+        raise CaptureError(errors[0])
+    file = replace(file, cameras=by_name)
     frames = found.sources
     filmed = [file.cameras[name] for name in frames]
     poses = {camera.name: camera.world_to_camera for camera in filmed if camera.world_to_camera is not None}
@@ -154,6 +158,13 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     return assemble_capture(
         folder, kind, cameras, pinhole, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )
+
+
+def _side_by_side(folder: Path, file: CalibrationFile) -> str:
+    """Hint at pictures that are as wide as those of several cameras; empty where none is."""
+    size = next(iter(file.cameras.values())).size
+    shown = [ImageFrames(picture).size for picture in list_files_below(folder)[:1]]
+    return "".join(f"; {describe_crop(frames, size, folder)}" for frames in shown if size and frames[0] > size[0])
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:

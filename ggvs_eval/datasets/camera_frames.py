@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -120,13 +120,25 @@ def _best(path: Path, groups: Iterable[MediaGroup], worth: Callable[[MediaGroup]
     equal = [group for group in ordered if worth(group) == worth(ordered[-1])]
     if len(equal) > 1:
         shown = listed(f"{group.pattern} ({len(group.members)})" for group in equal)
-        raise CaptureError(
-            f"{path}: wanted one set of frames of its cameras, got several: {shown}; give the folder of one to 'ggvs-eval "
-            "calibrate FOLDER RIG' (known poses: --known-poses FILE)"
-        )
+        remedy = "give the folder of one to 'ggvs-eval calibrate FOLDER RIG' (known poses: --known-poses FILE)"
+        if all(map(_is_recording, equal)):
+            remedy = f"these are parts of one recording each, by their first frames: {JOIN.format(equal[0].names[0])}"
+        raise CaptureError(f"{path}: wanted one set of frames of its cameras, got several: {shown}; {remedy}")
     return ordered[-1] if ordered else None
 
 
+def _is_recording(group: MediaGroup) -> bool:
+    """Tell whether videos are the parts of one, each called by the number of its first frame."""
+    if group.kind != ".mp4" or not all(map(str.isdecimal, group.names)):
+        return False
+    parts = sorted((int(name), video.n_frames) for name, video in group.members)
+    return all(later[0] == sum(earlier) for earlier, later in pairwise(parts))
+
+
+JOIN = (
+    "join each into one, in another folder: write \"file '{}.MP4'\" and the like into LIST, then ffmpeg -f concat -i LIST "
+    "-c copy OUT.mp4"
+)
 # GoPro's chapters: GX and GH with the chapter before the recording's number; GOPR, and GP from the second one on.
 CHAPTER = re.compile(r"(?:G[XH]\d\d|GOPR|GP\d\d)(\d{4})", re.I)
 COPY = re.compile(r"(.+?)[_\-. ]+[a-z]+", re.I)  # editing programs add a word to the name of a smaller copy
@@ -144,10 +156,7 @@ def _refuse_parts(path: Path, names: Sequence[str]) -> None:
     if not is_split and (len(parts) < 2 or {len(videos) for videos in recordings.values()} != {2}):
         return
     shown = "; ".join(" and ".join(videos) for videos in parts)
-    remedy = (
-        f"join each into one, in another folder: write \"file '{parts[0][0]}.MP4'\" and the like into LIST, then ffmpeg -f "
-        "concat -i LIST -c copy OUT.mp4"
-    )
+    remedy = JOIN.format(parts[0][0])
     what, remedy = ("chapters", remedy) if is_split else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
     raise CaptureError(f"{path}: wanted one video per camera, got {what} of one recording: {shown}; {remedy}")
 

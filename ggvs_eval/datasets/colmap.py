@@ -4,9 +4,11 @@
 Gaussian Splatting has ``camXX/frame_00001.jpg`` and a model in ``sparse_/``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture
@@ -23,6 +25,7 @@ from ggvs_eval.files.names import camera_names, listed
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
 MARK = "frame[0-9]*"
+SAME = (1e-4, 1e-4)  # relative and absolute, of numbers that were written with few digits
 LONGEST_ROUNDING = 1e-3  # of a quaternion's length, as of the reader
 SPARSE_MODEL = "sparse_"
 
@@ -50,12 +53,12 @@ def load_colmap(path: Path, units: GivenUnits, layout: str = "colmap") -> Captur
     frames = find_frames(path, {name: view.image_name for name, view in views.items()}, fewest=len(views))
     notes = [] if is_multipleview else [*frames.notes]
     notes += [f"{listed(frames.beside)} omitted: on disk, but not registered in the COLMAP model"] if frames.beside else []
-    others = [
-        each for each in _numbered_models(folder.parent / "0") if folder.name.isdecimal() and each != folder and _holds(each)
-    ]
-    if others:
+    if not is_multipleview and (others := _models(path)[1:]):
         sizes = listed([f"{each.relative_to(path)} ({_n_images(each)})" for each in others])
         notes.append(f"{folder.relative_to(path)} is taken, the model of most images ({len(views)}); not read: {sizes}")
+    if differing := _differing(folder, views):
+        of_text = f"{folder.relative_to(path)}: cameras.bin is read; cameras.txt beside it has another calibration of"
+        notes.append(f"{of_text} {listed(differing)}; keep the model that is meant")
     scaled = [name for name, view in views.items() if abs(view.quaternion_length - 1) > LONGEST_ROUNDING]
     if scaled:
         lengths = f"the length {views[scaled[0]].quaternion_length:.4g}"
@@ -69,23 +72,32 @@ def load_colmap(path: Path, units: GivenUnits, layout: str = "colmap") -> Captur
     return assemble_capture(path, layout, cameras, pinhole, choose_units(path, units, cameras, median_depths=depths), notes=notes)
 
 
+def _differing(folder: Path, views: Mapping[str, CalibratedView]) -> list[str]:
+    """Return the views that text files beside a binary model place elsewhere, or give another lens."""
+    if not all((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
+        return []
+    try:
+        texts = {view.image_name: view.numbers for view in read_model(folder, ".txt")}
+    except CaptureError:
+        texts = {}
+    return [name for name, view in views.items() if not np.allclose(view.numbers, texts.get(view.image_name, np.nan), *SAME)]
+
+
 def find_model(path: Path) -> Path | None:
     """Return the folder of the first sparse model in or below a capture; of several by a mapper that of most images."""
+    return next(iter(_models(path)), None)
+
+
+def _models(path: Path) -> list[Path]:
+    """Return that model, and those of other numbers next to it."""
     places = [path] if (first := first_instant(path)) is None else [first, path]
-    folders = [place / name for place in places for name in MODEL_FOLDERS]
-    models = [folder for name in folders for folder in _numbered_models(name) if _holds(folder)]
-    if not models:
-        places = [place for folder in folders_beside(path) for place in (folder, *(folder / name for name in MODEL_FOLDERS))]
-        beside = [place for place in places if _holds(place) and _n_images(place)]
-        return beside[0] if len(beside) == 1 or path in beside else None
-    siblings = [folder for folder in models if folder.parent == models[0].parent]
-    return max(siblings, key=_n_images) if len(siblings) > 1 else models[0]
-
-
-def _numbered_models(folder: Path) -> list[Path]:
-    """Return the folder, and those of other numbers next to it if it is called 0."""
-    beside = [each for each in list_entries(folder.parent) if each.name.isdecimal()] if folder.name == "0" else []
-    return beside or [folder]
+    for folder in (place / name for place in places for name in MODEL_FOLDERS):
+        beside = [each for each in list_entries(folder.parent) if each.name.isdecimal()] if folder.name == "0" else []
+        if models := [model for model in beside or [folder] if _holds(model)]:
+            return sorted(models, key=_n_images, reverse=True) if len(models) > 1 else models
+    places = [place for folder in folders_beside(path) for place in (folder, *(folder / name for name in MODEL_FOLDERS))]
+    beside = [place for place in places if _holds(place) and _n_images(place)]
+    return beside[:1] if len(beside) == 1 or path in beside else []
 
 
 def _holds(folder: Path) -> bool:

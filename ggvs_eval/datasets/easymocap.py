@@ -13,7 +13,6 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import rigid
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.array_file import read_numbers
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, given_crop
 from ggvs_eval.datasets.calibration_readers import FileCamera
 from ggvs_eval.datasets.camera_frames import CameraFrames, backgrounds, find_frames
@@ -25,6 +24,7 @@ from ggvs_eval.datasets.media import members
 from ggvs_eval.datasets.rig import RigCamera, pinhole_rig, undistorted
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.array_file import read_numbers
 from ggvs_eval.files.listing import list_files, list_images
 from ggvs_eval.files.names import listed
 from ggvs_eval.lens import PIXEL_CENTRE, Lens

@@ -4,19 +4,23 @@ import re
 import tomllib
 from functools import cache
 from importlib import resources
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.media import MEDIA, folders_beside
 from ggvs_eval.datasets.unread_files import TEXTS, first_bytes, is_own
 from ggvs_eval.files import pickle_reader
-from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_entries
+from ggvs_eval.files.array_file import map_array
+from ggvs_eval.files.listing import list_entries, list_files_below
 from ggvs_eval.side_process import SideProcess, SideProcessError
 
 FILE = "file_marks.toml"
 MOST_FILES = 100  # of a folder that are looked at
+DEEPEST = 3  # folders between that and a file
 MOST_NUMBERS = 20_000
+CALIBRATIONS = re.compile(r"calib|intrin|extrin", re.I)
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
 ENTRY = re.compile(
     r"""(?i)(?<![a-z_])(camera_?matri\w*|intrinsics?\w*|extrinsics?\w*|distortion\w*|dist_?coeff\w*|fx|fl_x|w2c|c2w|[rt]vecs?|k"""
@@ -42,24 +46,32 @@ def file_marks() -> list[dict[str, str]]:
 
 def find_marked(path: Path) -> tuple[Path, str, str] | None:
     """Return the first file in a folder that the table knows, what it is, and what to do."""
-    for mark in file_marks():
+    for mark, folder in product(file_marks(), folders_beside(path)):
         content = re.compile(mark.get("content", "").encode())
-        for file in sorted(path.glob(mark["pattern"])):
+        for file in sorted(folder.glob(mark["pattern"])):
             if file.is_file() and not is_own(file) and content.search(first_bytes(file)):
                 return file, mark["name"], mark["advice"]
     return None
 
 
 def find_cameras(path: Path) -> dict[Path, str]:
-    """Return the files up to two levels below a folder that hold cameras, with what they hold; names say nothing."""
-    entries = list_entries(path)
-    folders = [entries, *(list_entries(entry) for entry in entries if entry.is_dir())]
+    """Return the files up to four levels below a folder that hold cameras, with what they hold; names say nothing."""
+    folders = [list_entries(path)]
+    for entries in folders:
+        is_deep = len(entries[0].relative_to(path).parts) > DEEPEST if entries else True
+        folders += [] if is_deep else [inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))]
     files = [file for folder in folders for file in folder[:MOST_FILES] if file.is_file() and not is_own(file)]
-    media = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
     held = {
-        file: held_cameras(_content(file)) for file in files if file.suffix.lower() not in media and not TEXTS.search(file.name)
+        file: held_cameras(_content(file)) for file in files if file.suffix.lower() not in MEDIA and not TEXTS.search(file.name)
     }
     return {file: what for file, what in held.items() if what}
+
+
+def find_cameras_above(path: Path) -> list[str]:
+    """Return folders of calibrations next to a folder or the one that holds it, as they are named from there."""
+    places = {f"{up}/{entry.name}/": entry for up in ("..", "../..") for entry in list_entries(path.resolve() / up)}
+    named = {name: place for name, place in places.items() if CALIBRATIONS.search(name) and place.is_dir()}
+    return [name for name, place in named.items() if not list_files_below(place, MEDIA) and find_cameras(place)]
 
 
 def held_cameras(text: str) -> str:

@@ -15,7 +15,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
-from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, UNREAD_PICTURES, list_images, unread_pictures
 from ggvs_eval.files.names import Number, is_stamp, numbers_in
 from ggvs_eval.files.picture_header import SEEN_THROUGH, UPRIGHT, PictureHeader, read_picture_header, transparent_share
 from ggvs_eval.files.plain import NotPlainError
@@ -216,6 +216,8 @@ def _read_header(file: Path) -> PictureHeader:
     except Exception as error:  # the parsers raise any exception on a damaged header
         is_large = isinstance(error, DecompressionBombError)
         reason = "whose header states too many pixels" if is_large else "that do not open"
+        if file.suffix.lower() in UNREAD_PICTURES:
+            raise CaptureError(f"{file}: wanted {', '.join(IMAGE_SUFFIXES)}, got {unread_pictures(file.parent)}") from error
         content = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
         raise CaptureError(f"{file}: wanted an image, got {content}; restore this frame") from error
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -79,14 +79,6 @@ def read_numbers(file: Path, model: Any, key: str, count: int, where: str) -> li
     return [*map(float, numbers)]
 
 
-class _SpacesView(NamedTuple):
-    """One camera at one position of the rig: its name, ``pos00_cam03``, its image and its calibration."""
-
-    name: str
-    file: Path
-    calibration: Calibration
-
-
 def _refuse(cameras: str, described: str, path: Path) -> str | None:
     """Return the reason why this folder is not a scene of a data set, by how that calls its cameras, or None if it is one."""
     if not (path / MODELS).is_file():
@@ -107,30 +99,29 @@ def load_positions(path: Path, units: GivenUnits) -> Capture:
     Reading:
         The images are taken for scaled, not cropped, where their size differs from that in the file.
     """
-    views = _read_positions(path)
-    rig = [pinhole_camera(path / MODELS, view.name, *view.calibration) for view in views]
-    cameras, sources = pinhole_rig(rig, [_image(view) for view in views], path / MODELS, path)
+    file = path / MODELS
+    rig, images = [], []
+    for position, camera, model in _read_positions(file):
+        where = f"camera {camera} of rig position {position}"
+        calibration = read_camera_model(file, model, where)
+        image = _read_path(path, model, f"cam_{camera:02d}/image_{position:03d}.JPG", where)
+        if not image.is_file():
+            raise CaptureError(f"{image}: wanted the image of {where}, got none; restore it or copy the scene again")
+        rig.append(pinhole_camera(file, f"pos{position:02d}_cam{camera:02d}", *calibration))
+        images.append(as_calibrated(ImageFrames(image), *calibration[1]))
+    cameras, sources = pinhole_rig(rig, images, file, path)
     return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
-def _read_positions(path: Path) -> list[_SpacesView]:
-    """Return the views of all positions of the rig."""
-    file = path / MODELS
+def _read_positions(file: Path) -> list[tuple[int, int, Any]]:
+    """Return position, camera and model of each view."""
     models = load_models(file)
     if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
         raise CaptureError(
             f"{file}: wanted a list over rig positions of lists of cameras, got another structure; copy the scene again"
         )
     check_rig_size(file, sum(map(len, models)))
-    numbered = [(position, *camera) for position, at in enumerate(models) for camera in enumerate(at)]
-    return [_read_spaces_view(path, *view) for view in numbered]
-
-
-def _read_spaces_view(path: Path, position: int, camera: int, model: Any) -> _SpacesView:
-    where = f"camera {camera} of rig position {position}"
-    calibrated = read_camera_model(path / MODELS, model, where)
-    file = _read_path(path, model, f"cam_{camera:02d}/image_{position:03d}.JPG", where)
-    return _SpacesView(f"pos{position:02d}_cam{camera:02d}", file, calibrated)
+    return [(position, *camera) for position, at in enumerate(models) for camera in enumerate(at)]
 
 
 def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Path:
@@ -140,12 +131,6 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
         remedy = "correct the file before you trust it"
         raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {remedy}")
     return find_below(path, relative)
-
-
-def _image(view: _SpacesView) -> ImageFrames:
-    if not view.file.is_file():
-        raise CaptureError(f"{view.file}: wanted the image of {view.name}, got none; restore it or copy the scene again")
-    return as_calibrated(ImageFrames(view.file), *view.calibration[1])
 
 
 SPACES_LAYOUT = DatasetSpec(

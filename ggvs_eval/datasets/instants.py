@@ -12,10 +12,10 @@ from ggvs_eval.capture import Extras, FrameSource, source_chain
 from ggvs_eval.capture_edit import picked, picked_extras
 from ggvs_eval.datasets.frames import ImageFrames, video_of
 from ggvs_eval.datasets.media import match_cameras
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, OutOfStepError
 from ggvs_eval.files.listing import list_files_below
-from ggvs_eval.files.names import Fields, Number, clock_s, is_stamp, listed
-from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.names import Fields, Number, is_stamp, listed, over_midnight
+from ggvs_eval.files.time_tables import TABLES, Rows, number_in, read_rows, times_in
 from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
@@ -24,12 +24,22 @@ FOLDER_FPS = 30.0
 LARGEST_DIFFERENCE = 2e-4
 LARGEST_LAG = 0.5  # steps between frames of one instant: farther off, the next frame is nearer
 SAME_TIME = 1e-3  # steps that rounded times are off
+LONGEST_STEP_S = 2.0
+PARTS_S = (3600, 60, 1, 1)  # of a timecode; the last counts frames
 GAP_STEPS = 1.5  # at twice a step a frame is missing
 
 TIMES = re.compile(r"time|stamp|sync", re.I)
-TABLES, DEEPEST = (".csv", ".tsv", ".txt"), 2
-TIME, CAMERA = re.compile(r"time|stamp|pts", re.I), re.compile(r"cam|device|view|port|serial", re.I)  # columns
-Rows = list[list[str]]
+DEEPEST = 2
+CAMERA = re.compile(r"cam|device|view|port|serial", re.I)  # columns
+PAIRING_FILE = "pair_by_time.txt"
+PAIRING = "Frames of this capture are paired by the times in its videos, or by their timecodes; without this file by number.\n"
+
+
+def write_pairing(path: Path) -> Path:
+    """Write the file in a capture that makes all commands pair its frames by time, and return it."""
+    file = (path if path.is_dir() else path.parent) / PAIRING_FILE
+    file.write_text(PAIRING, encoding="utf-8")
+    return file
 
 
 class Aligned(NamedTuple):
@@ -64,25 +74,33 @@ def align_instants(
     Reading:
         Times go first, those of a table (`read_times`) before those in the names of pictures: the partner of a frame is the
         nearest of each other camera, at most half a step away. Then the numbers in these names, if all cameras have as many;
-        cameras that count from 0 and others that count from 1 are taken to begin together. Else frames are in step.
+        cameras that count from 0 and others that count from 1 are taken to begin together. Else frames are in step. Pictures
+        with times have the rate of these.
     """
-    table = read_times(path, {name: source.n_frames for name, source in sources.items()})
+    table = read_times(path, sources)
     instants: Mapping[str, Any] = table.times or _numbers_in_names(sources)
     are_times = bool(table.times) or any(is_stamp(number) for numbers in instants.values() for number in numbers)
     if not instants or (len(set(map(len, instants.values()))) > 1 and not are_times):
         rate, notes = _common_rate(path, sources, fps)
         return Aligned(sources, extras, rate, [*table.notes, *notes])
-    rate = fps or min(video.fps if video else FOLDER_FPS for video in _videos(sources).values())
+    rates = [video.fps if video else FOLDER_FPS for video in _videos(sources).values()]
+    if are_times:  # of cameras that begin before and after midnight
+        begun = zip(instants.items(), over_midnight([numbers[0] for numbers in instants.values()]), strict=True)
+        instants = {name: [number + (start - numbers[0]) for number in numbers] for (name, numbers), start in begun}
     ranges: dict[tuple[Any, ...], list[str]] = {}
     for name, numbers in instants.items():
         ranges.setdefault(tuple(numbers), []).append(name)
     shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
     if {numbers[0] for numbers in ranges} == {0, 1} and len({tuple(np.diff(row)) for row in ranges}) == 1 and not are_times:
         note = f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"
-        return Aligned(sources, extras, rate, [note])
+        return Aligned(sources, extras, fps or min(rates), [note])
     start = min(numbers[0] for numbers in ranges)
     places = {name: np.array([float(number - start) for number in numbers]) for name, numbers in instants.items()}
     step = min(float(np.median(np.diff(numbers))) for numbers in places.values())
+    steps = np.concatenate([np.diff(row) for row in places.values()])
+    rate = fps or (
+        _rate(float(steps[steps <= GAP_STEPS * step].mean())) if are_times and {*rates} == {FOLDER_FPS} else min(rates)
+    )
     partners = find_partners(places, LARGEST_LAG * step * are_times)
     common = next(iter(partners.values()))
     tables = listed(table.files)
@@ -105,6 +123,13 @@ def align_instants(
         notes,
         table.files,
     )
+
+
+def _rate(step: float) -> float:
+    """Return frames per second by a step of times, in seconds or, where these were more than two, in ms, us or ns."""
+    while step > LONGEST_STEP_S:
+        step /= 1000
+    return round(1 / step, 2)
 
 
 def find_partners(places: Mapping[str, Array], tolerance: float) -> dict[str, tuple[int, ...]]:
@@ -164,41 +189,37 @@ def _common_rate(path: Path, sources: Mapping[str, FrameSource], fps: float | No
     differ = np.ptp([*rates.values()]) > LARGEST_DIFFERENCE * max(rates.values())
     apart = f"{1000 * lag_s:.1f} ms"
     faults = [f"one frame count for all cameras, got {_shown(counts)}"] if len(set(counts.values())) > 1 else []
-    if not fps and lag_s > LARGEST_LAG / rate and (gaps := _gaps(times_s)):
-        faults.append(f"frames of one number within half a step in time, got {apart}: {'; '.join(gaps)}")
-    elif not fps and (lag_s > LARGEST_LAG / rate or (differ and not is_timed)):
+    if not fps and (lag_s > LARGEST_LAG / rate or (differ and not is_timed)):
         faults.append(f"one frame rate for all cameras, got {_shown(rates)}" + f", {apart} apart" * is_timed)
     if faults:
-        raise CaptureError(f"{path}: wanted {'; and '.join(faults)}; {_remedy([*videos.values()], shortest)}")
+        remedy = f"'ggvs-eval check {path} --repair' takes the span that all have and pairs frames by time"
+        raise OutOfStepError(f"{path}: wanted {'; and '.join(faults)}; {remedy}")
     taken = "frame t of each camera counts as one instant, regardless of its time"
-    note = f"variable frame rate in {listed(uneven)}: {taken}" + f"; their times differ by up to {apart}" * is_timed
-    return round(rate, 2) if shortest > 1 else 0.0, [note] if uneven and not fps else []
+    notes = [f"variable frame rate in {listed(uneven)}: {taken}" + f"; their times differ by up to {apart}" * is_timed]
+    return round(rate, 2) if shortest > 1 else 0.0, notes * (bool(uneven) and not fps) + _late(videos, rate)
+
+
+def _late(videos: Mapping[str, VideoFrames | None], fps: float) -> list[str]:
+    """A note on timecodes that begin at different frames."""
+    starts_s = _starts_s(videos.values())
+    frames = [round((start_s - min(starts_s)) * fps) for start_s in starts_s]
+    late = [f"{name} {count}" for name, count in zip(videos, frames, strict=False) if count]
+    by_time = f"if the clocks were in step, an empty {PAIRING_FILE} in the capture pairs frames by them"
+    return [f"timecodes begin apart, frames late: {listed(late)}; frames are paired by number: {by_time}"] if late else []
+
+
+def _starts_s(videos: Collection[VideoFrames | None]) -> list[float]:
+    """Return the times of day at which videos begin by their timecodes, seconds; none unless all have one."""
+    starts_s = []
+    for video in videos:
+        fields = re.findall(r"\d+", video.timecode if video else "")
+        if video and len(fields) == len(PARTS_S):
+            starts_s.append(float(np.dot([*map(int, fields)], [*PARTS_S[:-1], PARTS_S[-1] / video.fps])))
+    return starts_s if len(starts_s) == len(videos) else []
 
 
 def _shown(values: Mapping[str, float]) -> str:
     return listed(f"{name} {round(value, 2):g}" for name, value in values.items())
-
-
-def _remedy(videos: Sequence[VideoFrames | None], shortest: int) -> str:
-    """Return what brings cameras to one rate and length."""
-    times_s = [video.times_s for video in videos if video and video.n_frames > 1]
-    if len(times_s) < len(videos):
-        return f"cut all to a common length of {shortest} frames, at one rate"
-    step_s = max(float(np.median(np.diff(times))) for times in times_s)
-    n_frames = int(min(times[-1] for times in times_s) / step_s + SAME_TIME) + 1
-    command = f"ffmpeg -i IN -vf fps={1 / step_s:.5g} -frames:v {n_frames} -c:v libx264 -crf 12 OUT.mp4"
-    return f"write each video into a new folder by '{command}'"
-
-
-def _gaps(times_s: Mapping[str, Array]) -> list[str]:
-    """The instants that cameras lack, by their times."""
-    cameras: dict[str, list[str]] = {}
-    for name, times in times_s.items():
-        steps = np.diff(times)
-        lacking = times[:-1][steps > GAP_STEPS * np.median(steps)] + np.median(steps)
-        if len(lacking):
-            cameras.setdefault(f"at {listed([f'{time_s:.3f}' for time_s in lacking])} s", []).append(name)
-    return [f"{listed(names)} lack{'s' * (len(names) == 1)} the frame {when}" for when, names in cameras.items()]
 
 
 def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
@@ -220,23 +241,24 @@ class FrameTimes(NamedTuple):
     notes: Sequence[str] = ()
 
 
-def read_times(path: Path, counts: Mapping[str, int]) -> FrameTimes:
+def read_times(path: Path, sources: Mapping[str, FrameSource]) -> FrameTimes:
     """Return the times of a table of all cameras, or of one table per camera, up to two levels below a capture.
 
-    Args:
-        counts: frames of each camera.
-
     Reading:
+        Where `PAIRING_FILE` says so, the times of videos: since the first frame, or by their timecodes if all have one.
         A table of all cameras has a column that names them and a row per frame, or a column per camera. Times ascend; they are
         the column that is called so, else the last one that ascends.
     """
+    counts = {name: source.n_frames for name, source in sources.items()}
     if min(counts.values()) < 2:
         return FrameTimes({})
+    if (path / PAIRING_FILE).exists():
+        return FrameTimes(_video_times(sources), [PAIRING_FILE])
     names = [str(file.relative_to(path)) for file in list_files_below(path, TABLES, DEEPEST)]
-    tables = {name: _rows(path / name) for name in names if TIMES.search(name)}
+    tables = {name: read_rows(path / name) for name in names if TIMES.search(name)}
     of_cameras = match_cameras(counts, tables).names
     candidates = [([name], _of_all(rows, counts)) for name, rows in tables.items()]
-    candidates.append(([*of_cameras.values()], {camera: _times(tables[name]) for camera, name in of_cameras.items()}))
+    candidates.append(([*of_cameras.values()], {camera: times_in(tables[name]) for camera, name in of_cameras.items()}))
     notes = []
     for files, times in candidates:
         odd = [f"{camera} {len(row)} of {counts[camera]} frames" for camera, row in times.items() if len(row) != counts[camera]]
@@ -246,16 +268,11 @@ def read_times(path: Path, counts: Mapping[str, int]) -> FrameTimes:
     return FrameTimes({}, notes=notes)
 
 
-def _rows(file: Path) -> Rows:
-    """Return the cells of a table, those of its head first; empty if it cannot be read."""
-    try:
-        lines = read_plain_text(file).splitlines()
-    except (OSError, ValueError):
-        return []
-    lines = [line.strip() for line in lines if line.strip()]
-    parting = r"[,;\t]" if lines and re.search(r"[,;\t]", lines[0]) else r"\s+"
-    rows = [[cell.strip(' "#') for cell in re.split(parting, line)] for line in lines]
-    return [row for row in rows if len(row) == len(rows[0])]
+def _video_times(sources: Mapping[str, FrameSource]) -> dict[str, Array]:
+    videos = _videos(sources)
+    starts_s = _starts_s(videos.values()) or [0.0] * len(videos)
+    times_s = [video.times_s if video else np.arange(sources[name].n_frames) / FOLDER_FPS for name, video in videos.items()]
+    return {name: start_s + row for name, start_s, row in zip(videos, starts_s, times_s, strict=True)}
 
 
 def _of_all(rows: Rows, cameras: Collection[str]) -> dict[str, Array]:
@@ -264,33 +281,11 @@ def _of_all(rows: Rows, cameras: Collection[str]) -> dict[str, Array]:
     of_camera = match_cameras(cameras, head).names
     if len(of_camera) == len(cameras):
         columns = {camera: head.index(name) for camera, name in of_camera.items()}
-        return {camera: _times([[row[index]] for row in body if row[index]]) for camera, index in columns.items()}
-    if any(_value(cell) is not None for cell in head):
+        return {camera: times_in([[row[index]] for row in body if row[index]]) for camera, index in columns.items()}
+    if any(number_in(cell) is not None for cell in head):
         head, body = [""] * len(head), rows
     for index in sorted(range(len(head)), key=lambda index: not CAMERA.search(head[index])):
         of_camera = match_cameras(cameras, {row[index] for row in body}).names
         if len(of_camera) == len(cameras):
-            return {camera: _times([head, *(row for row in body if row[index] == name)]) for camera, name in of_camera.items()}
+            return {camera: times_in([head, *(row for row in body if row[index] == name)]) for camera, name in of_camera.items()}
     return {}
-
-
-def _times(rows: Rows) -> Array:
-    """Return the column of times in the rows of a camera, (T,); empty if there is none."""
-    head, *body = rows or [[]]
-    body = rows if all(_value(cell) is not None for cell in head) else body
-    ascending: list[tuple[bool, int, Array]] = []
-    for title, cells in zip(head, zip(*body, strict=True), strict=False):
-        values = np.array([np.nan if (value := _value(cell)) is None else value for cell in cells])
-        if len(values) > 1 and (np.diff(values) > 0).all():
-            ascending.append((bool(TIME.search(title)), len(ascending), values))
-    return max(ascending, key=lambda column: column[:2])[2] if ascending else np.empty(0)
-
-
-def _value(cell: str) -> float | None:
-    """Return a finite number, or a time of day in seconds."""
-    try:
-        number = float(cell)
-    except ValueError:
-        time_s = clock_s(cell)
-        return None if time_s is None else float(time_s)
-    return number if np.isfinite(number) else None

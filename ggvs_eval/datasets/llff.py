@@ -15,7 +15,6 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, pinhole_K, rigid
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.array_file import read_numbers
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import backgrounds
 from ggvs_eval.datasets.find_cameras import find_marked
@@ -24,6 +23,7 @@ from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.media import CameraFrames, members
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.array_file import read_numbers
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.listing import unread_videos
 from ggvs_eval.files.names import listed
@@ -161,7 +161,8 @@ def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
     if len(lengths) > 1:
         mismatch = f"{lengths[min(lengths)]} and {lengths[max(lengths)]}"
         raise CaptureError(
-            f"{file}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of rows"
+            f"{file}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of rows (loaders "
+            "of LLFF and Neural 3D Video sort names as text, cam10 before cam9)"
         )
     poses = read_llff_poses(file)
     if len(poses) != len(names):

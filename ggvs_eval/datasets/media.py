@@ -3,6 +3,7 @@
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from itertools import groupby, pairwise
 from os.path import commonprefix
 from pathlib import Path
@@ -18,11 +19,11 @@ DEEPEST = 4  # folders between a scene and a file, as on the cards of cameras
 MEDIA = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
 # Words of folders whose pictures are of no camera: masks, depth, what was computed. Also those of whole sets of cameras.
 NO_CAMERA = re.compile(
-    r"(?<![a-z])(backgrounds?|bkgd|f?masks?|bgmtv2|schp|depths?|normals?|segm\w*|flow|conf\w*|path|sparse|renders?|truth)(?![a-z])",
+    r"(?<![a-z])(backgrounds?|bkgd|f?masks?|bgmtv2|schp|depths?|normals?|segm\w*|flow|conf\w*|path|sparse|renders?|truth|\d+x)(?![a-z])",
     re.I,
 )
 SETS = {"images", "frames", "videos", "train", "val", "test"}
-INSTANT = re.compile(r"(?:frame_?)?(\d{3,9})")  # a folder of the pictures of one instant
+INSTANT = re.compile(r"(?:frame_?|t)?(\d{3,9}(\.\d+)?)")  # a folder of the pictures of one instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class MediaGroup:
 def index_media(scene: Path) -> dict[str, MediaGroup]:
     """Return the groups of media below a scene by their patterns, those that lie higher first."""
     media: list[tuple[str, str, CameraFrames]] = []
-    instants: dict[tuple[str, str], list[tuple[int, Path]]] = {}
+    instants: dict[tuple[str, str], list[tuple[Decimal, Path]]] = {}
     for folder, files in groupby(list_files_below(scene, MEDIA, DEEPEST), lambda file: file.parent):
         paths = list(files)
         videos = [file for file in paths if file.suffix.lower() in VIDEO_SUFFIXES]
@@ -70,8 +71,8 @@ def index_media(scene: Path) -> dict[str, MediaGroup]:
             if match := INSTANT.fullmatch(part):
                 pattern = "/".join((*around[0], "*", *around[1], "CAM.png"))
                 for file in pictures:
-                    instants.setdefault((pattern, file.stem), []).append((int(match[1]), file))
-            if part in SETS or NO_CAMERA.search(part):
+                    instants.setdefault((pattern, file.stem), []).append((Decimal(match[1]), file))
+            if (match and match[2]) or part in SETS or NO_CAMERA.search(part):
                 continue
             pattern = "/".join((*around[0], "CAM", *around[1], ""))
             if len(videos) == 1:

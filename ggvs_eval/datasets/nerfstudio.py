@@ -85,12 +85,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         )
     names = sorted(frames)
     notes: list[str] = []
-    counts = {name: len(frames[name].get(RECORDED, (name,))) for name in names}
-    if len(set(counts.values())) > 1:
-        shown = listed(f"{name} {count}" for name, count in counts.items())
-        raise CaptureError(f"{files[0]}: wanted as many instants of each camera, got {shown}; list each camera at every time")
-    if counts[names[0]] > 1:
-        sources: list[SizedSource] = [_recorded(path, frames[name][RECORDED]) for name in names]
+    if any(RECORDED in frame for frame in frames.values()):
+        sources: list[SizedSource] = [_recorded(path, frames[name].get(RECORDED, [frames[name]["file_path"]])) for name in names]
     else:
         found = find_frames(path, {name: _image(frames[name]["file_path"]) for name in names})
         notes += found.notes

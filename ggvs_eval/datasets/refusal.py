@@ -6,9 +6,10 @@ from pathlib import Path
 
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.camera_frames import rig_frames
-from ggvs_eval.datasets.find_cameras import find_cameras, find_marked
+from ggvs_eval.datasets.find_cameras import find_cameras, find_cameras_above, find_marked
+from ggvs_eval.datasets.media import CameraFrames
 from ggvs_eval.datasets.unread_files import unused_note
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_entries, list_files_below
 from ggvs_eval.files.names import listed
 
@@ -33,8 +34,11 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
     files = find_cameras(path)
     if not files:
         return None
-    names = listed(str(file.relative_to(path)) for file in files)
+    first = {file.parent: file for file in reversed(files)}
+    names = listed(str(file.relative_to(path)) for file in sorted(first.values()))
+    names += f" and {len(files) - len(first)} like these" if len(files) > len(first) else ""
     what = f"cameras ({', '.join(dict.fromkeys(files.values()))}) in a form that is not read here"
+    what += f", and more in {listed(above)}" if (above := find_cameras_above(path)) else ""
     used = {os.path.abspath(file) for file in (*files, *list_files_below(path, (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)))}
     return names, (), "; ".join([what, FORMS, *unused_note(path, used, ())])
 
@@ -47,7 +51,13 @@ def unfit(path: Path, refusals: Mapping[str, str]) -> str:
         )
     within, mark = _captures_within(path), calibration_mark(path)
     remedy = f"name one of the captures in it: {within}" if within else "see docs/captures.md for the layouts"
-    rig = rig_frames(path) if not within and (mark is None or not mark[1]) else {}
+    rig: Mapping[str, CameraFrames] = {}
+    try:
+        rig = rig_frames(path) if not within and (mark is None or not mark[1]) else rig
+    except CaptureError as error:
+        if mark is None:
+            raise
+        remedy = str(error).removeprefix(f"{path}: ")
     if rig:
         first = next(iter(rig.values())).path.relative_to(path)
         remedy = f"frames of {listed(rig)} are there ({first}, ...)"
@@ -57,7 +67,7 @@ def unfit(path: Path, refusals: Mapping[str, str]) -> str:
         return f"{path}: wanted a capture in a known layout; {remedy} (looked for: {reasons})"
     name, layouts, what = mark
     if not layouts:
-        return f"{path}: {name} exist{'s' * (', ' not in name)}: {what}; {remedy} (looked for: {reasons})"
+        return f"{path}: {name} exist{'s' * (' ' not in name)}: {what}; {remedy} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
     return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {remedy} (also looked for: {reasons})"
 

@@ -1,6 +1,6 @@
 """RGB-D sequences: one moving camera with a depth sensor before a still scene, as ScanNet, HoloLens, 7-Scenes, TUM."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -178,7 +178,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
             f"{path}: wanted at least 2 frames with a finite pose, got {len(kept)} of {len(sequence.poses)}; track again"
         )
     sources = [ImageFrames(sequence.images[number], as_stored=True) for number in kept]
-    size = _common_size(sources)
+    size = _common_size(sequence.images, kept)
     _check_intrinsics(*sequence.K, size)
     limits, unknown = _depth_range([sequence.depths[number] for number in kept], sequence.metres_per_step)
     _check_depth_size(sequence, kept, size)
@@ -192,18 +192,15 @@ def load(path: Path, units: GivenUnits) -> Capture:
     return assemble_capture(path, "rgbd", cameras, sources, units_per_metre, extras=extras, notes=notes)
 
 
-def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
-    size = sources[0].size
-    for source in sources:
-        if source.size != size:
-            first, other = (f"{width} x {height}" for width, height in (size, source.size))
-            raise CaptureError(f"{source.path}: wanted {first} like the first image, got {other}; export the frames again")
-    return size
+def _common_size(files: Mapping[int, Path], kept: Sequence[int]) -> tuple[int, int]:
+    """Return the size of some files, which they share."""
+    numbered = tuple(enumerate(files[number] for number in kept))
+    return ImageFrames(numbered[0][1].parent, as_stored=True, numbered=numbered).size
 
 
 def _check_depth_size(sequence: RgbdSequence, kept: Sequence[int], size: tuple[int, int]) -> None:
     """Depth maps have one size, of the shape of the images or one that their own intrinsics bear out."""
-    depth_size = _common_size([ImageFrames(sequence.depths[number], as_stored=True) for number in kept])
+    depth_size = _common_size(sequence.depths, kept)
     same_shape = abs(depth_size[0] * size[1] / (depth_size[1] * size[0]) - 1) < LARGEST_STRETCH
     if sequence.K_depth:
         _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)

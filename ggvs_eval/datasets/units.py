@@ -86,10 +86,10 @@ def read_note(path: Path, key: str) -> float | None:
         raise CaptureError(f"{file}: wanted a number {key}, got: {error}; write the demo capture again") from error
 
 
-def nearest_to_rays(centres: Array, rays: Array) -> Array:
-    """Return the point nearest to rays of any length, (3,), from their centres, (N, 3) both."""
+def nearest_to_rays(centres: Array, rays: Array, weights: Array | float = 1.0) -> Array:
+    """Return the point nearest to rays of any length, (3,), from their centres, (N, 3) both, by their weights, (N, 1, 1)."""
     axes = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (N, 3, 3), projections onto each ray's normal plane
+    across = weights * (np.eye(3) - axes[:, :, None] * axes[:, None, :])  # (N, 3, 3), onto each ray's normal plane
     return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
 
 

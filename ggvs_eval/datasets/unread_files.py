@@ -6,13 +6,13 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from ggvs_eval.datasets.assemble import CROP_FILE
-from ggvs_eval.datasets.instants import TIMES
+from ggvs_eval.datasets.instants import PAIRING_FILE
 from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 
 FIRST_BYTES = 1 << 20
 # Our own, which are no calibration; calibration.json is a common name, and ours by its keys alone.
-OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.log")
+OWN = f"units.toml {CROP_FILE} {PAIRING_FILE} corrections.toml depth_range.toml intrinsics.toml demo.json calibration.log".split()
 # Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
 OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
@@ -37,9 +37,7 @@ def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list
         if not is_known and named.isdisjoint({entry.name, entry.stem}):
             names.append(f"{entry.name}/" if entry.is_dir() else entry.name)
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    timed = [name for name in names if TIMES.search(name)]
-    shift = f"; {', '.join(timed)} may say that frames of one number show different instants" if timed else ""
-    return [f"not used: {', '.join(names[:LISTED])}{more}{shift}"] if names else []
+    return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []
 
 
 def is_own(file: Path) -> bool:

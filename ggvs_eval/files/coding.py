@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.plain import ffmpeg_name
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames, shown_track
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,13 +76,14 @@ def read_coding(path: Path, frames: range) -> Coding:
     size = VideoFrames(path).size
     try:
         with av.open(ffmpeg_name(path), metadata_errors="replace") as container:
-            frame = next(container.decode(video=0))
+            track = container.streams.video.index(shown_track(container))
+            frame = next(container.decode(video=track))
             beside = cast("Sequence[SideData]", frame.side_data)  # declared as a mapping
             notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]
             pixels = frame.format.name
             container.seek(0)
             packets = sorted(
-                (packet.pts, packet.size, packet.is_keyframe) for packet in container.demux(video=0) if packet.pts is not None
+                (packet.pts, packet.size, packet.is_keyframe) for packet in container.demux(video=track) if packet.pts is not None
             )
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error

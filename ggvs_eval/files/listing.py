@@ -9,7 +9,8 @@ from pathlib import Path
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v")
 UNREAD_PICTURES = (".webp", ".tif", ".tiff", ".bmp", ".exr", ".hdr", ".gif", ".avif", ".heic", ".jxl", ".jp2", ".ppm", ".tga")
-UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".m2ts", ".ts", ".flv", ".insv", ".braw")
+RAW_VIDEOS = (".h264", ".264", ".h265", ".265", ".hevc")  # streams without times
+UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".m2ts", ".ts", ".flv", ".insv", ".braw", *RAW_VIDEOS)
 # Of macOS, Windows and network drives; `.DS_Store` and `._NAME` are hidden anyway.
 JUNK = {"__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "@eadir", "$recycle.bin", "system volume information"}
 LISTED = 3
@@ -83,7 +84,8 @@ def unread_pictures(folder: Path) -> str:
     """Return the pictures in a folder whose format is not read, and what to do; empty if there are none."""
     counts = Counter(file.suffix.lower() for file in list_files(folder, UNREAD_PICTURES))
     listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
-    return f"{listed} unsupported pictures: convert them to .png" if listed else ""
+    linear = "; .exr holds linear light: ffmpeg -i IN.exr -vf zscale=tin=linear:t=iec61966-2-1,format=rgb24 OUT.png"
+    return f"{listed} unsupported pictures: convert them to .png{linear * ('.exr' in counts)}" if listed else ""
 
 
 def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
@@ -93,5 +95,9 @@ def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
     if not files:
         return ""
     names = ", ".join(file.name for file in files[:LISTED]) + (", ..." if len(files) > LISTED else "")
-    command = f"ffmpeg -i {shlex.quote(files[0].name)} -crf 8 {shlex.quote(files[0].stem + VIDEO_SUFFIXES[0])}"
+    source, timed, copy = (shlex.quote(files[0].stem + suffix) for suffix in (files[0].suffix, ".mkv", VIDEO_SUFFIXES[0]))
+    command = f"ffmpeg -i {source} -crf 8 {copy}"
+    if files[0].suffix.lower() in RAW_VIDEOS:
+        table = f"mkvmerge -o {timed} --timestamps 0:TIMES.txt {source}, then ffmpeg -i {timed} -crf 8 {copy}"
+        command = f"a stream without times, those of its frames are in a table beside it: {table}"
     return f"{names} {'are' if len(files) > 1 else 'is'} there but not supported: {command}"

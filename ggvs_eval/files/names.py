@@ -21,6 +21,7 @@ CLOCK = re.compile(
     r"(?<!\d)(?:((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_T ]+)?"
     r"(\d\d)([-_:.]?)(\d\d)\5(\d\d)(?:[-_.:,]?(\d{3}(?:\d{3}){,2}))?(?!\d)"
 )
+DAY_S = 86_400
 SHORTEST_STEP_S = 0.002  # of a clock; finer fields count
 
 
@@ -94,9 +95,20 @@ def clock_s(text: str) -> Decimal | None:
     return Decimal(f"{instant.timestamp():.0f}.{fraction}" if fraction else f"{instant.timestamp():.0f}")
 
 
+def over_midnight(times: Sequence[Any]) -> list[Any]:
+    """Return times of day of one recording, seconds: where it lasts over midnight, those after it count on.
+
+    Examples:
+        >>> over_midnight([86399.5, 0.5, 1.5])
+        [86399.5, 86400.5, 86401.5]
+    """
+    gap, evening = max(((later - earlier, later) for earlier, later in pairwise(sorted(times))), default=(0, 0))
+    return [time + DAY_S * (gap > DAY_S / 2 and time < evening <= DAY_S) for time in times]
+
+
 def _clock_times(stems: Sequence[str]) -> list[Number | None]:
     """Return the times of day in names that all have one and go in steps of frames; nothing of others."""
-    times = [time for time in map(clock_s, stems) if time is not None]
+    times = over_midnight([time for time in map(clock_s, stems) if time is not None])
     steps_s = [later - earlier for earlier, later in pairwise(sorted(times))]
     return [*times] if len(times) == len(stems) > 1 and median(steps_s) >= SHORTEST_STEP_S else []
 

@@ -36,6 +36,7 @@ UNTAGGED = (
     "by the matrix of BT.601, as no tag states one; if they are of BT.709, as HD cameras mean it, write that: ffmpeg -i IN "
     "-c copy -bsf:v h264_metadata=matrix_coefficients=1 OUT.mp4"
 )
+OTHER_TRACK = "ffmpeg -i IN -map 0:v:TRACK -c copy OUT.mp4"
 LEAST_ENTRY = 0.02  # of a display matrix, in its largest: about the degree that ffmpeg allows for a right angle
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
@@ -141,6 +142,7 @@ class VideoHeader(NamedTuple):
         turn_deg: angle by which the first frame is to be turned against the clock, where that is no right one.
         orientation: of the columns and rows as they are stored, where they go as they are shown: signs of the matrix (column
             by column, column by row, row by column, row by row) that the file states, which can mirror too.
+        timecode: of the first frame, as hours, minutes, seconds and frames; empty without a track of it.
     """
 
     n_frames: int
@@ -155,6 +157,7 @@ class VideoHeader(NamedTuple):
     interlaced: bool
     turn_deg: int = 0
     orientation: tuple[int, ...] = (1, 0, 0, 1)
+    timecode: str = ""
 
 
 @dataclass(frozen=True)
@@ -196,8 +199,13 @@ class VideoFrames:
     def times_s(self) -> Array:
         """Presentation times of the frames, seconds after the first, (T,); the whole file is read for it."""
         with self._open() as container:
-            tick_s = float(container.streams.video[0].time_base or 0)
+            tick_s = float(shown_track(container).time_base or 0)
         return tick_s * np.array([frame.presented - self._shown[0].presented for frame in self._shown], np.float64)
+
+    @property
+    def timecode(self) -> str:
+        """Of the first frame, see `VideoHeader`."""
+        return self._header.timecode
 
     @property
     def conversions(self) -> dict[str, int]:
@@ -270,7 +278,7 @@ class VideoFrames:
     def _decode_from(self, first: FrameTime, presented: int) -> "Iterator[VideoFrame]":
         """Frames in the order of presentation from a time on, decoded from the frame `first`, which is shown no later."""
         with self._open() as container:
-            stream = container.streams.video[0]
+            stream = shown_track(container)
             stream.thread_type = "AUTO"
             stream.codec_context.options = {"err_detect": "explode"}
             # By decoding time: the presentation time of `start` can be past the decoding time of the next key frame.
@@ -289,7 +297,7 @@ class VideoFrames:
             with self._open() as container:
                 timestamps = sorted(
                     FrameTime(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard)
-                    for packet in container.demux(video=0)
+                    for packet in container.demux(shown_track(container))
                     if packet.pts is not None and packet.dts is not None
                 )
         except av.error.FFmpegError as error:
@@ -316,10 +324,13 @@ class VideoFrames:
     def _header(self) -> VideoHeader:
         """Header and first frame, read in one opening of the file, which takes longer than reading them."""
         import av
+        from av.stream import Disposition
 
         n_bytes = self.path.stat().st_size if self.path.is_file() else 0
         with self._open() as container:
-            stream = container.streams.video[0]
+            stream = shown_track(container)
+            tracks = [track for track in container.streams.video if not track.disposition & Disposition.attached_pic]
+            place = f"from track {stream.index} of {len(tracks)} {stream.metadata.get('name', '')}; another: {OTHER_TRACK}"
             samples = [sample for sample in stream.index_entries if not sample.is_discard]
             steps = [later - earlier for earlier, later in pairwise(sorted(sample.timestamp for sample in samples))] or [0]
             components = stream.format.components if stream.format else ()
@@ -337,12 +348,13 @@ class VideoFrames:
                 float(stream.average_rate or 0),
                 (min(steps), max(steps)),
                 1000 * float(stream.time_base or 0),
-                (*conversions_to_rgb8(colours, bits, has_alpha), *([UNTAGGED] if is_untagged else [])),
+                (*conversions_to_rgb8(colours, bits, has_alpha), *[UNTAGGED] * is_untagged, *[place] * (len(tracks) > 1)),
                 HDR_TRANSFERS.get(int(stream.codec_context.color_trc), ""),
                 stream.codec_context.field_order > PROGRESSIVE,
+                timecode=stream.metadata.get("timecode", ""),
             )
             try:
-                first = next(container.decode(video=0), None)
+                first = next(container.decode(stream), None)
             except av.error.FFmpegError:  # damaged: reading frames gives the better message
                 return header
         if first is None:
@@ -398,3 +410,10 @@ class VideoFrames:
     def _damaged(self, n_decoded: int, reason: str, n_frames: int | None = None) -> CaptureError:
         total = self.n_frames if n_frames is None else n_frames
         return CaptureError(f"{self.path}: damaged, {n_decoded} of {total} frames can be decoded, then {reason}; {MEND}")
+
+
+def shown_track(container: "InputContainer") -> "VideoStream":
+    """Return the video track that players show: of several the one marked as the default."""
+    from av.stream import Disposition
+
+    return max(container.streams.video, key=lambda track: bool(track.disposition & Disposition.default))

@@ -60,12 +60,6 @@ def align_similarity(source: Array, target: Array) -> Similarity:
     return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
 
 
-def rig_extent(cameras: Mapping[str, Camera]) -> float:
-    """Return the largest distance between two camera centres, world units."""
-    centres = np.array([camera.centre for camera in cameras.values()])
-    return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
-
-
 def pose_differences(estimated: Mapping[str, Camera], reference: Mapping[str, Camera]) -> tuple[Array, Array]:
     """Measure the pose errors of estimated cameras against reference ones, after aligning the centres by a similarity.
 

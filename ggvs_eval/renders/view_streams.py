@@ -14,8 +14,8 @@ from typing import IO, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.datasets.array_file import HEADER_ERRORS, map_array
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.array_file import HEADER_ERRORS, map_array
 from ggvs_eval.files.images import to_8_bit, write_image
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files, same_name
 from ggvs_eval.files.plain import check_plain

@@ -36,7 +36,8 @@ def check(
         layout: layout on disk; detected by default.
         units: world units per metre, or a TOML file with a known distance (docs/captures.md).
         out: JSON file; CAPTURE.check.json in the current folder by default.
-        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), which all commands apply.
+        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), and pair frames by time where lengths or rates
+            differ; all commands apply both.
         crop: first column and row of cropped frames; written to CAPTURE/crop.toml, which all commands apply.
         jobs: parallel processes, at least 1.
         watch: seconds between checks of a folder during capture; prints changes of a camera's state.
@@ -47,7 +48,7 @@ def check(
     if watch is not None:
         _watch(capture, watch, rig, page, json)
         return
-    from ggvs_eval.pipelines.inspection.capture.check import run_check
+    from ggvs_eval.pipelines.inspection.capture.check import pair_by_time, run_check
     from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, repair_capture
 
     capture = locate(capture)
@@ -57,6 +58,8 @@ def check(
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
     look = partial(run_check, capture, out, layout=layout, units=given_units(units), workers=jobs)
+    if repair and (paired := pair_by_time(capture)):
+        print(paired)
     inspected, table = look()
     if repair and (report := repair_capture(capture, inspected.findings)):
         print(report)

@@ -58,7 +58,7 @@ def evaluate(
         videos: one video or image folder per camera; or a capture with poses.
         out: folder to write: capture/, check.json, protocol.toml, run/ with the page.
         frames: number of instants to evaluate, from the first; at most 100 by default.
-        repair: correct whole-frame delays and brightness by `check`, then check again.
+        repair: correct whole-frame delays, brightness, and unequal lengths and rates by `check`, then check again.
         methods: methods to evaluate.
         poses: cameras given, refined, or compare: refined if source cameras render better; the protocol's by default.
         device: device of networks: cpu, cuda or auto.
@@ -69,10 +69,12 @@ def evaluate(
     """
     if not videos.exists():
         raise CaptureError(no_such_path(videos, "videos, or folders of images, of several cameras"))
-    from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
+    from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated, pair_by_time
     from ggvs_eval.pipelines.inspection.capture.epipolar_findings import QUESTION as POSES_QUESTION
 
     steps = _Steps()
+    if repair and (paired := pair_by_time(videos)):
+        print(paired)
     uncalibrated = open_uncalibrated(videos) if reading.layout is None else None
     capture = out / "capture" if uncalibrated else videos
     if uncalibrated:

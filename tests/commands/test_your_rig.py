@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.geometry.alignment import pose_differences, rig_extent
+from ggvs_eval.geometry.alignment import pose_differences
 from ggvs_eval.pipelines.commands import flags
+from ggvs_eval.pipelines.inspection.capture.poses import rig_extent
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
@@ -58,7 +59,7 @@ def test_poses_are_those_of_the_room(walk):
     found = {camera.name: camera for camera in open_capture(walk[0] / "rig").cameras}
     distances, angles_rad = pose_differences(found, truth)
     assert set(found) == set(truth)
-    assert 100 * distances.max() / rig_extent(truth) < CENTRE_PERCENT
+    assert 100 * distances.max() / rig_extent(truth.values()) < CENTRE_PERCENT
     assert np.degrees(angles_rad.max()) < ROTATION_DEG
 
 

@@ -17,6 +17,7 @@ import ggvs_eval.datasets
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.find_cameras import file_marks
+from ggvs_eval.datasets.instants import write_pairing
 from ggvs_eval.errors import CaptureError, RenderError
 from ggvs_eval.files import listing, video
 from ggvs_eval.files.images import write_image
@@ -145,14 +146,9 @@ def follow_steps(folder: Path) -> None:
     shutil.move(folder / "raw.mp4", folder / "cam03.mp4")
     message = refusal(folder)
     assert "got cam00 24, cam01 20, cam02 22, cam03 29" in message
-    line = " ".join(quoted(message, "ffmpeg"))
-    copies = folder.with_name("copies")
-    copies.mkdir()
-    write_poses(copies, make_rig())
-    for name in NAMES:
-        ffmpeg(line, folder, IN=f"{name}.mp4", OUT=str(copies / f"{name}.mp4"))
-    capture = open_capture(copies)
-    assert (capture.n_frames, capture.fps) == (18, 25.0)
+    call([*quoted(message), "--out", "JSON"], JSON=folder.with_name("check.json"))
+    capture = open_capture(folder)
+    assert (capture.n_frames, capture.fps) == (17, 25.0)
 
 
 def follow_repeats(folder: Path) -> None:
@@ -166,10 +162,7 @@ def follow_repeats(folder: Path) -> None:
     assert (found.verdict, found.values["recorded_fps"]) == ("bad", 25.0)
     ffmpeg(found.advice.rpartition(": ")[2], folder, IN=f"{odd}.mp4", OUT="raw.mp4")
     shutil.move(folder / "raw.mp4", folder / f"{odd}.mp4")
-    line = " ".join(quoted(refusal(folder), "ffmpeg"))
-    for camera in cameras:
-        ffmpeg(line, folder, IN=f"{camera.name}.mp4", OUT="raw.mp4")
-        shutil.move(folder / "raw.mp4", folder / f"{camera.name}.mp4")
+    assert check.pair_by_time(folder)
     checked = check.check_capture(folder)
     assert open_capture(folder).fps == 25.0
     assert {finding.verdict for finding in checked.of("frozen frames")} == {"ok"}
@@ -298,14 +291,72 @@ def follow_crop(folder: Path) -> None:
     assert open_capture(folder).cameras[0].size == (64, 40)
 
 
+def follow_track(folder: Path) -> None:
+    """Depth and colour in one file: the track that is marked is read, the line takes another."""
+    write_dynerf(folder)
+    for index, name in enumerate(NAMES):
+        write_video(folder / "depth", (np.full((48, 64, 3), 40 * index, np.uint8) for _ in range(5)), 30)
+        both = "-map 0 -map 1 -c copy -disposition:v:0 0 -disposition:v:1 default"
+        ffmpeg(f"ffmpeg -i depth -i {name}.mp4 {both} OUT", folder, OUT="raw.mp4")
+        (folder / "raw.mp4").rename(folder / f"{name}.mp4")
+    (folder / "depth").unlink()
+    (line,) = re.findall(r"ffmpeg -i IN .*?OUT\.mp4", noted(folder, "from track 1 of 2"))
+    colour = open_capture(folder).frame("cam03", 0)
+    assert np.ptp(colour) > 100
+    for name in NAMES:
+        ffmpeg(line.replace("TRACK", "0"), folder, IN=f"{name}.mp4", OUT="raw.mp4")
+        shutil.move(folder / "raw.mp4", folder / f"{name}.mp4")
+    assert np.ptp(open_capture(folder).frame("cam03", 0)) < 10
+
+
+def follow_linear_light(folder: Path) -> None:
+    """OpenEXR pictures of a scene that names them."""
+    write_nerfstudio(folder)
+    images = folder / "images"
+    before = cv2.imread(str(images / "cam01.png"))
+    for file in sorted(images.glob("*.png")):
+        image = (cv2.imread(str(file)) / 255.0) ** 2.2
+        file.with_suffix(".raw").write_bytes(np.asarray(image[..., [1, 0, 2]].transpose(2, 0, 1), "<f4").tobytes())
+        size = f"{image.shape[1]}x{image.shape[0]}"
+        ffmpeg(f"ffmpeg -f rawvideo -pix_fmt gbrpf32le -s {size} -i {file.stem}.raw -frames:v 1 {file.stem}.exr", images)
+        file.unlink()
+    frames = [{**frame, "file_path": frame["file_path"].replace("png", "exr")} for frame in transforms()["frames"]]
+    changed_json(folder / "transforms.json", frames=frames)
+    line = refusal(folder).rpartition(": ")[2]
+    for file in images.glob("*.exr"):
+        ffmpeg(line, images, IN=file.name, OUT=f"{file.stem}.png")
+        file.unlink()
+    assert len(open_capture(folder).cameras) == len(NAMES)
+    assert np.abs(cv2.imread(str(images / "cam01.png")).astype(int) - before).max() < 8
+
+
+def follow_pictures_side_by_side(folder: Path) -> None:
+    """Two cameras in each picture."""
+    wide = [np.hstack([make_image(0, frame), make_image(1, frame)]) for frame in range(3)]
+    for frame, image in enumerate(wide):
+        write_image(folder / "rgb" / f"{frame}.png", image)
+    rig = make_rig(("left", "right"))
+    write_opencv(folder, rig)
+    line = refusal(folder).rpartition("folder per camera, ")[2].removesuffix(" for the first")
+    for camera, left in zip(rig, ("0", "iw/2"), strict=True):
+        (folder / camera.name).mkdir()
+        crop = line.replace("OUT.mp4", f"{camera.name}/%d.png").replace(":0:0", f":{left}:0")
+        ffmpeg(crop, folder, IN="rgb/%d.png")
+    shutil.rmtree(folder / "rgb")
+    assert open_capture(folder).n_frames == 3
+
+
 # What a printed command contains -> the case that follows it.
 COMMANDS: dict[str, Callable[[Path], None]] = {
-    "ffmpeg -i {shlex.quote(files[0].name)} -crf 8": follow_unread_videos,
+    "ffmpeg -i {source} -crf 8": follow_unread_videos,
     "ffmpeg -i IN -c copy OUT.mp4": follow_copy,
     "-vf bwdif": follow_deinterlacing,
     "-bsf:v h264_metadata": follow_tags,
     "tonemap=mobius": follow_tone_mapping,
-    "ffmpeg -i IN -vf fps=": follow_steps,
+    "ggvs-eval check {path} --repair": follow_steps,
+    "-map 0:v:TRACK": follow_track,
+    "zscale=tin=linear": follow_linear_light,
+    "crop=iw/{n_beside}": follow_pictures_side_by_side,
     "-vf decimate": follow_repeats,
     "-f concat": follow_chapters,
     "crop=iw/2": follow_halves,
@@ -324,6 +375,7 @@ ELSEWHERE = {
     "ggvs-eval get": "fetches, tests/datasets/test_public_captures.py",
     "ggvs-eval calibrate --known-poses": "tests/offline/test_calibrate.py",
     "exiftool": "a program that is not at hand",
+    "mkvmerge": "a program that is not at hand",
     "by `ggvs-eval check`": "a source",
     "by COLMAP (`ggvs-eval calibrate`)": "a source",
 }
@@ -536,7 +588,18 @@ def edit_lengths(folder: Path) -> Edit:
     write_rows(folder)
     write_image(folder / "frames" / "cam02" / "0005.png", make_image(2, 0))
     yield
-    (folder / "frames" / "cam02" / "0005.png").rename(folder / "elsewhere.png")
+    write_pairing(folder)
+
+
+def edit_parts(folder: Path) -> Edit:
+    """Videos that are called by the numbers of their first frames; their joining is followed with chapters."""
+    for name in NAMES:
+        write_videos(folder / name, ("0",))
+        write_videos(folder / name, ("5",))
+    yield
+    for name in NAMES:
+        shutil.rmtree(folder / name)
+    write_lenses(folder)
 
 
 def edit_two_files_of_a_camera(folder: Path) -> Edit:
@@ -704,7 +767,8 @@ EDITS: list[tuple[str, Callable[[Path], Edit]]] = [
     ("add leading zeros, in the order of rows", edit_leading_zeros),
     ("give each a number of its own, or put those of other cameras into other folders", edit_two_of_a_number),
     ("restore the frames or renumber them", edit_gap),
-    ("cut all to a common length of 5 frames", edit_lengths),
+    ("takes the span that all have and pairs frames by time", edit_lengths),
+    ("these are parts of one recording each", edit_parts),
     ("rename the others or move them elsewhere", edit_two_files_of_a_camera),
     ("move the copies into a folder elsewhere", edit_proxies),
     ("call these like the cameras", edit_names_of_videos),
@@ -751,7 +815,6 @@ NOT_FOLLOWED = (
     "undistort the images",
     "undistort its frames and list them in capture.toml",
     "keep the right one",
-    "list each camera at every time",
     "leave this frame out",
     "rename it",  # frames of RGB-D sequences
     "scale the intrinsics as the images were scaled",

@@ -398,7 +398,7 @@ def test_phones_that_drift_apart_are_refused(tmp_path):
     message = refusal(folder)
 
     assert "wanted one frame rate for all cameras, got cam00 30" in message
-    assert "ms apart; write each video into a new folder" in message
+    assert "ms apart; 'ggvs-eval check" in message
 
 
 def test_two_constant_rates_stay_two(tmp_path):

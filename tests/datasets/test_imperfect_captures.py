@@ -262,7 +262,7 @@ def write_hololens(folder: Path, depth: Callable[[int], np.ndarray]) -> Path:
     [
         (lambda index: np.full((24, 24), 3000), "0.png: wanted depth of the shape of its 64 x 48 image, got 24 x 24"),
         (lambda index: np.full((24, 32), 3000 * index), "0.png: wanted measured depth, got zeros alone; leave this frame out"),
-        (lambda index: np.full((24, 32 + 32 * index), 3000), "1.png: wanted 32 x 24 like the first image, got 64 x 24"),
+        (lambda index: np.full((24, 32 + 32 * index), 3000), "1.png: wanted 32 x 24 like the camera's other frames, got 64 x 24"),
     ],
 )
 def test_depth_of_another_shape_or_of_nothing_is_refused(depth, message, tmp_path):

@@ -88,7 +88,7 @@ def test_a_rig_over_time_lacks_nothing(tmp_path):
     rest, first = [f for f in whole["frames"] if NAMES[0] not in f["file_path"]], whole["frames"][0]
     for split, frames in (("train", rest), ("test", [first])):
         (folder / f"transforms_{split}.json").write_text(json.dumps(whole | {"frames": frames}))
-    assert "wanted as many instants of each camera" in refusal(folder)
+    assert "wanted one frame count for all cameras" in refusal(folder)
 
 
 def test_intrinsics_of_a_frame_win(tmp_path):

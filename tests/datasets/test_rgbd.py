@@ -212,7 +212,7 @@ def cut(file: Path, kept: float) -> None:
         (lambda folder: cut(folder / "depth" / "2.png", 0.7), "depth/2.png: wanted a depth map, got"),
         (lambda folder: cut(folder / "depth" / "2.png", 0.0), "depth/2.png: wanted a picture, got an empty file"),
         (lambda folder: shutil.copy(folder / "color" / "1.jpg", folder / "depth" / "1.png"), "channel, got uint8 (48, 64, 3)"),
-        (lambda folder: cv2.imwrite(str(folder / "color" / "2.jpg"), np.zeros((24, 32, 3), np.uint8)), "got 32 x 24; export"),
+        (lambda folder: cv2.imwrite(str(folder / "color" / "2.jpg"), np.zeros((24, 32, 3), np.uint8)), "got 32 x 24; resize"),
         (lambda folder: cut(folder / "pose" / "2.txt", 0.5), "2.txt: wanted a matrix of 4 x 4 numbers, got"),
         (lambda folder: (folder / "pose" / "2.txt").write_text("1 0 zero"), "got: line 1: no number in 'zero'"),
         (lambda folder: (folder / "pose" / "2.txt").write_bytes(b"\xc3("), "a text file of numbers, got: 'utf-8' codec"),

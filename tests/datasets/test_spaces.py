@@ -160,4 +160,4 @@ def test_images_that_cannot_be_read(scene):
     file.write_bytes(b"")
     assert "image_001.JPG: wanted an image, got 0 bytes" in refusal(scene)
     file.unlink()
-    assert "image_001.JPG: wanted the image of pos01_cam01, got none; restore it" in refusal(scene)
+    assert "image_001.JPG: wanted the image of camera 1 of rig position 1, got none; restore it" in refusal(scene)

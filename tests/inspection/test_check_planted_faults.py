@@ -73,6 +73,15 @@ def test_swapped_cameras_are_named_with_the_mend(filmed):
 
 
 @pytest.mark.slow
+def test_swapped_cameras_of_a_small_rig_are_named(filmed):
+    """No camera of five agrees with most others then; the answer for the rig names the two."""
+    few = replace(filmed, cameras=filmed.cameras[:5], records=filmed.records[:5])
+    check = few.check(cam01=filmed.frames["cam03"], cam03=filmed.frames["cam01"])
+
+    assert "they fit if cam01 and cam03 exchange frames or poses" in answer(check, "epipolar error", "rig").measured
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.05, pytest.param(0.95, marks=pytest.mark.slow)])
 def test_a_wrong_focal_length_is_named_with_its_factor(filmed, factor):
     """One camera whose focal length is 5 % off is bad, and the factor that mends it is found within 1 %."""

@@ -245,11 +245,7 @@ def with_lenses(*names: str) -> Callable[[Path], None]:
         (with_lenses("cam00", 'odd "n"'), {"known_intrinsics": "lens.toml"}, 'cam01, cam02, cam03, it has cam00, odd "n"'),
         (with_lenses(*NAMES[:4]), {"known_poses": "lens.toml"}, "wanted poses, got only intrinsics of cam00"),
         (write_sizes, {"shared_intrinsics": True}, "wanted frames of one size for shared intrinsics"),
-        (
-            write_lengths,
-            {},
-            "got cam00 5, cam01 5, cam02 3; write each video into a new folder by 'ffmpeg -i IN -vf fps=30 -frames:v 3 ",
-        ),
+        (write_lengths, {}, "got cam00 5, cam01 5, cam02 3; 'ggvs-eval check"),
     ],
 )
 def test_refused_before_any_work(tmp_path, write, options, message):

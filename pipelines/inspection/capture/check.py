@@ -20,10 +20,11 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import detect_layout, open_capture
 from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames, rig_frames
+from ggvs_eval.datasets.instants import write_pairing
 from ggvs_eval.datasets.refusal import calibration_mark
 from ggvs_eval.datasets.units import GivenUnits, Units
 from ggvs_eval.datasets.unread_files import unused_note
-from ggvs_eval.errors import CaptureError, GgvsError
+from ggvs_eval.errors import CaptureError, GgvsError, OutOfStepError
 from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
@@ -189,6 +190,18 @@ def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, 
     except GgvsError:
         pass  # no frames of a rig; the first finding says what is wrong
     return (*findings, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(findings)))
+
+
+def pair_by_time(path: Path) -> str:
+    """Make all commands pair the frames of a capture by time where they are out of step; gives the file and what it does."""
+    try:
+        if not open_uncalibrated(path):
+            open_capture(path, measure_depth=False)
+    except OutOfStepError:
+        return f"{write_pairing(path)}: frames are paired by the times in videos"
+    except GgvsError:
+        pass  # the check reports it
+    return ""
 
 
 def _unanswered(findings: Iterable[Finding]) -> tuple[str, ...]:

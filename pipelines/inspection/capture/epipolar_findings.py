@@ -5,6 +5,7 @@ An explanation of a wrong calibration is one that makes the epipolar errors vani
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -83,8 +84,12 @@ def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], inde
     return _accepted(candidates, before, tolerances(cameras[index])[0])
 
 
-def explain_rig(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> Repair | None:
-    """Return one explanation for all cameras together; None where most agree already, or where none suits."""
+def explain_rig(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], exchange: bool = False) -> Repair | None:
+    """Return one explanation for all cameras together; None where most agree already, or where none suits.
+
+    Args:
+        exchange: try that two have exchanged their frames, too: in a small rig none agrees with most others then.
+    """
     looked_at = pairs[:: len(pairs) // MOST_PAIRS + 1]
 
     def rig_error(changed: Sequence[Camera]) -> float:
@@ -99,6 +104,10 @@ def explain_rig(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> Repa
         for name, change in POSE_CHANGES.items()
     ]
     candidates.append(_best_focal(range(len(cameras)), cameras, pairs, rig_error))
+    for one, two in combinations(cameras if exchange and len(cameras) <= MOST_JUDGES else (), 2):
+        places = {one.name: two, two.name: one}
+        moved = [replace(places.get(camera.name, camera), name=camera.name) for camera in cameras]
+        candidates.append(Repair("swap", f"they fit if {one.name} and {two.name} exchange frames or poses", rig_error(moved)))
     return _accepted(candidates, before, max(tolerances(camera)[0] for camera in cameras))
 
 
@@ -276,6 +285,7 @@ def check_epipolar(
     shared = explain_rig(cameras, pairs)
     over = [index for index in matched if camera_error(cameras, pairs, index, SIGMAS) > tolerances(cameras[index])[0]]
     if shared or len(trusted) < max(2, len(matched) / 2) or len(over) > len(matched) / 2:
+        shared = shared or explain_rig(cameras, pairs, exchange=True)
         return replace(_doubtful_rig(cameras, pairs, errors, shared), pairs=all_pairs)
     # Suspects are compared with trusted cameras all over the rig: of two exchanged ones each sees what the other's neighbours do.
     matched_pairs = {(pair.first, pair.second) for pair in pairs}

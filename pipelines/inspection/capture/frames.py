@@ -160,7 +160,8 @@ def _evaluate_frozen(name: str, frames: list[int], n_frames: int, fps: float) ->
     if (period := repeat_period(frames, n_frames)) and fps:
         values["recorded_fps"] = fps * (1 - 1 / period)
         stored = f"recorded at {values['recorded_fps']:.4g} frames per second, it seems, and stored as {fps:.4g}"
-        advice = f"give the original video, or leave the repeats out: ffmpeg -i IN -vf decimate=cycle={period} {ENCODED}"
+        remedy = "leave the repeats out (then 'check --repair' pairs the frames by time)"
+        advice = f"give the original video, or {remedy}: ffmpeg -i IN -vf decimate=cycle={period} {ENCODED}"
         return Finding(name, FROZEN, "bad", f"{stored}: {text}", values, advice)
     return Finding(name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", text, values, "copy or convert this video again")
 

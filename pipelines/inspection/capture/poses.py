@@ -1,11 +1,12 @@
 """Poses - rotations, doubles, whether the cameras look at one scene the same way up - and intrinsics against size and rig."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.units import nearest_to_rays
 from ggvs_eval.finding import RIG, Finding, Verdict, graded
 
 POSES_QUESTION = "poses"
@@ -72,14 +73,12 @@ def look_at_point(cameras: Sequence[Camera]) -> Array | None:
     axes, centres = np.stack([camera.axis for camera in cameras]), np.stack([camera.centre for camera in cameras])
     if np.median(np.arccos(np.clip(axes @ _median_direction(axes), -1, 1))) < PARALLEL_RAD / 2:
         return None
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (N, 3, 3)
-    weights, point = np.ones(len(cameras)), centres.mean(axis=0)
+    weights: Array | float = 1.0
     for _ in range(ITERATIONS):
-        left = np.einsum("n,nij->ij", weights, across)
-        point = np.linalg.lstsq(left, np.einsum("n,nij,nj->i", weights, across, centres), rcond=None)[0]
-        distance = np.linalg.norm(np.einsum("nij,nj->ni", across, point - centres), axis=1)
+        point = nearest_to_rays(centres, axes, weights)
+        distance = np.linalg.norm(np.cross(point - centres, axes), axis=1)[:, None, None]
         weights = 1 / np.maximum(distance, 1e-3 * max(rig_extent(cameras), 1e-9))
-    return np.asarray(point)
+    return point
 
 
 def away_angles(cameras: Sequence[Camera], target: Array | None) -> Array:
@@ -116,7 +115,7 @@ def same_places(cameras: Sequence[Camera]) -> list[list[int]]:
     return [list(np.flatnonzero(row)) for row in is_same_place]
 
 
-def rig_extent(cameras: Sequence[Camera]) -> float:
+def rig_extent(cameras: Iterable[Camera]) -> float:
     """Return the largest distance between two centres, world units."""
     centres = np.stack([camera.centre for camera in cameras])
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())

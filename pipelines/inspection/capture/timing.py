@@ -178,22 +178,15 @@ def check_timing(
         signals = {pair: _in_step(pair, motions, steps) for pair, motions in signals.items()}
         lags = _supported(len(cameras), measure_lags(signals))
     offsets = solve_offsets(len(cameras), lags)
-    reasons = [
-        _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
-        for index, record in enumerate(records)
-    ]
-    evaluated = [
-        Finding(record.name, QUESTION, "unknown", reasons[index])
-        if reasons[index]
-        else _evaluate(record.name, index, offsets, lags, steps[index])
-        for index, record in enumerate(records)
-    ]
-    dropped = [
-        Finding(record.name, DROPPED, "unknown", reasons[index])
-        if reasons[index]
-        else _dropped(record.name, steps[index], timed_frames(records), fps)
-        for index, record in enumerate(records)
-    ]
+    evaluated, dropped = [], []
+    for index, record in enumerate(records):
+        own = [lag for pair, lag in lags.items() if index in pair]
+        if reason := _unknown(record, index in doubtful, len(cameras), own):
+            evaluated.append(Finding(record.name, QUESTION, "unknown", reason))
+            dropped.append(Finding(record.name, DROPPED, "unknown", reason))
+            continue
+        evaluated.append(_evaluate(record.name, index, offsets, lags, steps[index]))
+        dropped.append(_dropped(record.name, steps[index], timed_frames(records), fps))
     n_known = int(np.isfinite(offsets).sum())
     if not n_known:
         reason = "no motion that neighbours share"
