@@ -132,7 +132,8 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
             found = find_frames(folder, {name: f"{name}.png" for name in by_name})
             break
         except CaptureError as error:
-            errors.append(f"{_find(path, kind)[1][0]}: {error}{_side_by_side(folder, file)}")
+            reason = str(error).removeprefix(f"{folder}: ")
+            errors.append(f"{_find(path, kind)[1][0]}: {reason}{_side_by_side(folder, file)}")
     else:
         raise CaptureError(errors[0])
     file = replace(file, cameras=by_name)

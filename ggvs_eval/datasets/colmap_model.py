@@ -39,6 +39,7 @@ MODELS = """
     SIMPLE_PINHOLE 3 PINHOLE 4 SIMPLE_RADIAL 4 RADIAL 5 OPENCV 8 OPENCV_FISHEYE 8 FULL_OPENCV 12 FOV 5 SIMPLE_RADIAL_FISHEYE 4
     RADIAL_FISHEYE 5 THIN_PRISM_FISHEYE 12 RAD_TAN_THIN_PRISM_FISHEYE 16 SIMPLE_DIVISION 4 DIVISION 5 SIMPLE_FISHEYE 3 FISHEYE 4
     EUCM 6 EQUIRECTANGULAR 2"""
+BEYOND = [np.inf, 0.0, 0.0, 0.0]  # number and place of a point behind all others
 SIGHTS = np.dtype([("uv", "<2f8"), ("point", "<i8")])
 
 
@@ -63,9 +64,6 @@ class ModelImage(NamedTuple):
     pose: Array
     camera: ModelCamera
     points: NDArray[np.int64]
-
-
-Points = dict[int, tuple[float, ...]]  # their places in the world by their numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,7 @@ def read_model(folder: Path, suffix: str = "") -> list[CalibratedView]:
     return [_view(folder, image, points) for image in sorted(images, key=lambda image: image.name)]
 
 
-def _view(folder: Path, image: ModelImage, points: Points) -> CalibratedView:
+def _view(folder: Path, image: ModelImage, points: Array) -> CalibratedView:
     length = float(np.linalg.norm(image.pose[:4]))
     if not 0 < length < np.inf:
         raise CaptureError(f"{folder}: wanted a rotation of {image.name}, got a quaternion of length {length:g}; calibrate again")
@@ -143,7 +141,8 @@ def _view(folder: Path, image: ModelImage, points: Points) -> CalibratedView:
         lens = lens_of_colmap(*image.camera)
     except CameraError as error:
         raise CaptureError(f"{folder}: {image.name}: {error}") from error
-    seen = np.array([points[number] for number in image.points.tolist() if number in points]).reshape(-1, 3)
+    at = np.searchsorted(points[:, 0], image.points)
+    seen = points[at[points[at, 0] == image.points], 1:]
     depth = seen @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
     nearest, median, farthest = np.percentile(depth, PERCENTILES).tolist() if len(depth) >= FEWEST_POINTS else (0.0, 0.0, 0.0)
@@ -169,8 +168,8 @@ def lens_of_colmap(model: str, width: int, height: int, params: Sequence[float])
     return Lens(pinhole_K(fx, fy, values["cx"], values["cy"]), kind, tuple(values.get(key, 0.0) for key in keys), width, height)
 
 
-def read_binary(folder: Path) -> tuple[list[ModelImage], Points]:
-    """Return the images and the points of a model.
+def read_binary(folder: Path) -> tuple[list[ModelImage], Array]:
+    """Return the images and the points of a model: a number and a place each, (P, 4), in the order of numbers.
 
     Raises:
         ValueError: a file ends early or holds more than it says.
@@ -185,13 +184,13 @@ def read_binary(folder: Path) -> tuple[list[ModelImage], Points]:
     for file in _entries(folder / "images.bin"):
         _, *pose, camera = file.take("I7dI")
         images.append(ModelImage(file.take_text(), np.array(pose), cameras[camera], file.take_points()))
-    points: Points = {}
+    points = [BEYOND]
     cloud = folder / "points3D.bin"
     for file in _entries(cloud) if lexists(cloud) else ():
-        number, *place, n_images = file.take("Q3d11xQ")
-        points[number] = tuple(place)
+        *point, n_images = file.take("Q3d11xQ")
+        points.append(point)
         file.skip(8 * n_images)
-    return images, points
+    return images, np.array(sorted(points))
 
 
 class _Content:
@@ -234,7 +233,7 @@ def _entries(file: Path) -> Iterator[_Content]:
         raise content.damaged()
 
 
-def read_text(folder: Path) -> tuple[list[ModelImage], Points]:
+def read_text(folder: Path) -> tuple[list[ModelImage], Array]:
     """Return the same of a text model.
 
     Reading:
@@ -260,13 +259,12 @@ def read_text(folder: Path) -> tuple[list[ModelImage], Points]:
                 raise ValueError(f"images.txt, line {line}: wanted nine numbers and a name, got {len(words)} words")
             images.append(ModelImage(words[9], np.array(pose), cameras[int(camera)], np.empty(0, np.int64)))
             is_image = True
-    points: Points = {}
+    points = [BEYOND]
     cloud = folder / "points3D.txt"
     for line, text in _lines(cloud) if lexists(cloud) else ():
         if text:
-            point, *place = _numbers(cloud, line, text.split(maxsplit=4)[:4])
-            points[int(point)] = tuple(place)
-    return images, points
+            points.append(_numbers(cloud, line, text.split(maxsplit=4)[:4]))
+    return images, np.array(sorted(points))
 
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:

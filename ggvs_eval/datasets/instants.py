@@ -114,7 +114,9 @@ def align_instants(
     notes = (
         [f"{len(common)} instants that all cameras have are taken, {origin}; left out: {listed(left_out)}"] if left_out else []
     )
-    gaps = np.flatnonzero(np.diff(next(iter(places.values()))[[*common]]) > GAP_STEPS * step)
+    slowest = min(places, key=lambda name: len(places[name]))
+    times = places[slowest]
+    gaps = np.flatnonzero(np.diff(times[[*partners[slowest]]]) > GAP_STEPS * np.median(np.diff(times)))
     notes += [f"time jumps after frame {listed(map(str, gaps))}, {origin}"] if len(gaps) else []
     return Aligned(
         {name: picked(source, partners[name]) for name, source in sources.items()},

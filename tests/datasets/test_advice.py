@@ -34,6 +34,7 @@ from helpers.captures import (
     make_rig,
     refusal,
     write_colmap,
+    write_colmap_model,
     write_dynerf,
     write_folders,
     write_poses,
@@ -149,6 +150,7 @@ def follow_steps(folder: Path) -> None:
     call([*quoted(message), "--out", "JSON"], JSON=folder.with_name("check.json"))
     capture = open_capture(folder)
     assert (capture.n_frames, capture.fps) == (17, 25.0)
+    assert not any("jumps after frame 2," in note for note in capture.notes)  # every sixth of 30 has no partner among 25
 
 
 def follow_repeats(folder: Path) -> None:
@@ -755,6 +757,52 @@ def edit_unread_form_elsewhere(folder: Path) -> Edit:
     write_opencv(folder, make_rig())
 
 
+def changed(
+    write: Callable[[Path], object], spoil: Callable[[Path], object], mend: Callable[[Path], object]
+) -> Callable[[Path], Edit]:
+    """A capture with one thing wrong, and what puts it right."""
+
+    def edit(folder: Path) -> Edit:
+        write(folder)
+        spoil(folder)
+        yield
+        mend(folder)
+
+    return edit
+
+
+def keys(**values: object) -> Callable[[Path], None]:
+    """Write entries of transforms.json; those of None are taken out."""
+    return lambda folder: changed_json(folder / "transforms.json", **values)
+
+
+def K_of(shift_px: float) -> Callable[[Path], None]:
+    """Write K.txt with another principal point."""
+    return lambda folder: np.savetxt(folder / "K.txt", make_rig()[0].K + np.array([[0, 0, shift_px], [0, 0, 0], [0, 0, 0]]))
+
+
+def leave_out(folder: Path) -> None:
+    """One frame of a sequence with its depth and its pose."""
+    for name in ("images", "depth"):
+        (folder / name / "3.png").unlink()
+    np.savetxt(folder / "poses.txt", np.loadtxt(folder / "poses.txt")[:3])
+
+
+def several_instants(folder: Path) -> None:
+    """Two pictures of each camera in the model."""
+    write_colmap_model(folder / "sparse" / "0", [f"{name}/{number}.png" for name in NAMES[:2] for number in range(2)])
+
+
+def no_depth(folder: Path) -> None:
+    """Nothing measured in one frame."""
+    cv2.imwrite(str(folder / "depth" / "3.png"), np.zeros((48, 64), np.uint16))
+
+
+def copy_of(folder: Path) -> Path:
+    """A second picture of a number."""
+    return Path(shutil.copy(folder / "images" / "0.png", folder / "images" / "a0.png"))
+
+
 # What a refusal says to do -> an edit that does it.
 EDITS: list[tuple[str, Callable[[Path], Edit]]] = [
     ("add frames and poses", edit_empty_folder),
@@ -778,6 +826,12 @@ EDITS: list[tuple[str, Callable[[Path], Edit]]] = [
     ("undistort the frames with it first, or write the lens in OpenCV's entries", edit_lens),
     ("undistort the images first", edit_camera_model),
     ("keep the one that is right", edit_two_lenses),
+    ("keep the right one", changed(write_nerfstudio, keys(K=np.eye(3).tolist()), keys(K=None))),
+    ("undistort the images", changed(write_nerfstudio, keys(k4=0.1), keys(k4=0.0))),
+    ("scale the intrinsics as the images were scaled", changed(write_sequence, K_of(36), K_of(0))),
+    ("leave this frame out", changed(write_sequence, no_depth, leave_out)),
+    ("rename it or move it elsewhere", changed(write_sequence, copy_of, lambda folder: (folder / "images" / "a0.png").unlink())),
+    ("calibrate with one instant", changed(write_colmap, several_instants, write_colmap)),
     ("give videos of several cameras", edit_instants),
     ("if it stands still, write the first instant's for all", edit_moving_camera),
     ("add 'fisheye_model: 1' where they are of cv::fisheye", edit_four_coefficients),
@@ -809,15 +863,10 @@ NOT_FOLLOWED = (
     "give a part of them",  # of 10,000 cameras
     "give hold_frames",  # of an option
     "add it",  # the size of images that nothing names, of which no frames are there
-    "calibrate with one instant",
     "colmap image_undistorter",
     "undistort the frames first",
-    "undistort the images",
     "undistort its frames and list them in capture.toml",
-    "keep the right one",
-    "leave this frame out",
-    "rename it",  # frames of RGB-D sequences
-    "scale the intrinsics as the images were scaled",
+    "as TUM RGB-D has it; rename it",
     "write the extrinsics in metres",
     "write the intrinsics of this sequence",
     "write both from the same frames",
