@@ -1,6 +1,7 @@
 """What a path shows that is of no layout, and the way on: loaded when a capture is refused, and not before."""
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
     files = find_cameras(path)
     if not files:
         return None
-    first = {file.parent: file for file in reversed(files)}
+    first = {(file.parent, re.sub(r"\d+", "", file.name)): file for file in reversed(files)}
     names = listed(str(file.relative_to(path)) for file in sorted(first.values()))
     names += f" and {len(files) - len(first)} like these" if len(files) > len(first) else ""
     what = f"cameras ({', '.join(dict.fromkeys(files.values()))}) in a form that is not read here"

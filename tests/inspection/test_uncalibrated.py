@@ -125,6 +125,21 @@ def test_every_mark_is_tried_here():
     assert len(file_marks()) == len(MARKED) + 1  # Vicon's has two rows
 
 
+def test_cameras_above_and_far_below_are_named(tmp_path):
+    """Beside a sequence's own note, and from the folder of all of them; files that differ by a number are one."""
+    take = tmp_path / "subject" / "takes" / "01"
+    write_videos(take)
+    (take / "info.json").write_text('{"intrinsics": "date01"}')
+    (tmp_path / "subject" / "calibration").mkdir()
+    for index in range(2):
+        (tmp_path / "subject" / "calibration" / f"{index}.txt").write_text("86.9 0 80\n0 86.9 60\n0 0 1")
+    (finding,) = check_capture(take).of("opens")
+    assert "info.json exists: cameras (an entry intrinsics)" in finding.measured
+    assert "and more in ../../calibration/" in finding.measured
+    (finding,) = check_capture(tmp_path).of("opens")
+    assert "subject/calibration/0.txt, subject/takes/01/info.json and 1 like these exist" in finding.measured
+
+
 def test_other_files_are_noted(tmp_path):
     """What holds no cameras that can be seen is no fault, and is not passed over in silence; our own report is."""
     write_videos(tmp_path / "table")
