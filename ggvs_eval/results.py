@@ -39,6 +39,7 @@ SYMPTOMS = {
     "mirrored": "is mirrored",
     "blank frames": "has blank frames",
     "flicker": "flickers as a whole",
+    "black border": "has black borders",
     "test view seen": "was trained on the test view",
 }
 
@@ -245,16 +246,6 @@ class Results:
         per_scene = per_view.groupby(keys, sort=False).mean()
         per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
         return per_dataset.unstack("metric", sort=False)
-
-    def text(self, names: Mapping[str, str]) -> str:
-        """Write `summary` with four digits by label; reduced models say so.
-
-        Args:
-            names: label -> name to show.
-        """
-        means = self.summary().droplevel("dataset").round(4).rename_axis(columns=None)
-        labels = [label_of(*key) for key in means.index]
-        return means.set_axis([f"{label}{reduced_mark(names.get(label, ''))}" for label in labels]).to_string()
 
     def per_view(self, metric: str) -> "pd.DataFrame":
         """Return the mean over frames of one metric: rows (method, variant), one column per view."""

@@ -80,6 +80,11 @@ class RunFolder:
         return self.root / "stream.json"
 
     @property
+    def check_record(self) -> Path:
+        """File of what `ggvs-eval check` found in the capture, as it writes it; only if that was asked."""
+        return self.root / "check.json"
+
+    @property
     def report(self) -> Path:
         """Folder of the page and its tables."""
         return self.root / "report"

@@ -2,19 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Literal
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
-from ggvs_eval.reports.model.table import SHORT_MEANS, Table, join_tables
+from ggvs_eval.reports.model.table import DASH, SHORT_MEANS, Cell, Table, join_tables
 from ggvs_eval.reports.run_groups import HASH_DIGITS, runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import OWN_TRUTH_MEANS, main_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
-from ggvs_eval.reports.tables.verdict import judge_runs
-from ggvs_eval.results import Results
+from ggvs_eval.reports.tables.verdict import evaluate_verdict, judge_runs
+from ggvs_eval.results import Results, reduced_mark
 
 TableFormat = Literal["markdown", "latex", "csv"]
 MEAN = "Mean"
@@ -49,6 +51,51 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     if to == "csv":
         return to_csv([(protocol, tables)])
     return to_latex(tables) if to == "latex" else to_markdown(tables)
+
+
+def scores_text(root: Path) -> str:
+    """Return the scores of a run as the page judges them: who is best, then by label, the best first, with intervals and marks.
+
+    Columns that do not fit next to each other follow below.
+    """
+    run = read_scores(root)
+    tables = main_tables([run], run.results, with_grey=False)
+    verdict = evaluate_verdict([run], run.results, tables)
+    ranked = [contender.label for contender in (*verdict.contenders, *verdict.parts)]
+    marks = {label: f"{label}{reduced_mark(run.names.get(label, ''))}" for label in (*ranked, *run.results.row_labels)}
+    rows = {(table.key, row.label): row for table in tables for row in table.rows}
+    columns = []
+    for table in tables:
+        for at, column in enumerate(table.columns):
+            cells = [rows[table.key, label].cells[at] for label in marks]
+            if any(cell.value is not None for cell in cells):  # `not_computed` says why
+                columns.append([column.name, *map(_cell_text, cells)])
+    names = ["", *marks.values()]
+    width = get_terminal_size((130, 40)).columns - max(map(len, names))
+    lines = [f"{verdict.headline}. {verdict.margin}".strip()]
+    while columns:
+        widths = list(accumulate(2 + max(map(len, column)) for column in columns))
+        count = max(1, sum(end <= width for end in widths))
+        block, columns = columns[:count], columns[count:]
+        lines += _aligned([names, *block])
+    is_marked = any(cell.best for row in rows.values() for cell in row.cells)
+    return "\n".join([*lines, *(["*: best, or not significantly worse"] if is_marked else [])])
+
+
+def _cell_text(cell: Cell) -> str:
+    """Return a value to four decimals, its interval and its mark."""
+    if cell.value is None:
+        return DASH
+    return f"{cell.value:.4f}{f' {cell.spread}' if cell.spread else ''}{'*' if cell.best else ''}"
+
+
+def _aligned(columns: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of columns of text, the first one the names of the lines."""
+    padded = []
+    for at, column in enumerate(columns):
+        width = max(map(len, column))
+        padded.append([text.ljust(width) if at == 0 else f"  {text:<{width}}" for text in column])
+    return ["".join(line).rstrip() for line in zip(*padded, strict=True)]
 
 
 def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:

@@ -23,7 +23,7 @@ KEPT = "metrics"  # that the README prints; each of them is loaded by name as we
 PARTS = sorted({leaf for module in MODULES if (leaf := leaf_of(module)) and leaf != KEPT})
 OF_DEPTH = ("matcher sgbm", "matcher live", "matcher sweep", "matcher raft", "IterMVS", "sensor depth")
 BLOCK = re.compile(r"```sh\n(ggvs-eval demo .*?)```", re.DOTALL)
-PRINTED = re.compile(r"^ *(PSNR|late|mine) +([A-Z].*|[\d. ]+)$", re.MULTILINE)
+PRINTED = re.compile(r"^ *(PSNR|late|mine) +([A-Z].*|[\d. ±†*]+)$", re.MULTILINE)
 ASKED = (
     "check ROOM",
     "calibrate VIDEOS OUT",
@@ -178,7 +178,8 @@ def readme(trunk, tmp_path_factory) -> tuple[str, dict[str, tuple[object, str]]]
 
 def read_table(text: str) -> dict[str, list[float]]:
     """Metric -> values of the rows of the table that `score` prints."""
-    rows = {name: values.split() for name, values in PRINTED.findall(text)}
+    lines = reversed(PRINTED.findall(text))  # of columns that follow below the first ones count
+    rows = {name: re.sub(r"± \S+|\*", "", values).split() for name, values in lines}
     columns = ["PSNR", *rows.pop("PSNR")]
     return {metric: [float(values[at]) for values in rows.values()] for at, metric in enumerate(columns) if metric != ".."}
 

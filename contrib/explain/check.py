@@ -123,7 +123,7 @@ class Runs:
         return {row.label: row.cells[0] for row in rows}
 
     def _recompute(self, metric: str, label: str, scene: str) -> dict[str, float]:
-        family = metric_family(metric.replace("_", "-"))
+        family = metric_family(re.sub(r"(?<=dssim)[12]$", "", metric.lower()).replace("_", "-"))
         found: dict[str, list[float]] = {}
         runs = self.of_scene(scene)
         for run in runs:
@@ -162,15 +162,17 @@ def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
 def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
     label = runs.label(cell.method)
     if not label:
-        return CheckedCell(cell, "not checked", reason=f"no method {cell.method!r} in the runs; name it with --rows")
+        known = ", ".join(dict.fromkeys(label for run in runs.runs for label in run.labels))
+        return CheckedCell(cell, "not checked", reason=f"no method {cell.method!r} in the runs ({known}); name it with --rows")
     hashes = {run.protocol.sha256 for run in runs.of_scene(cell.scene)}
     if len(hashes) != 1:
         reason = "a mean over runs of several protocols" if hashes else f"no run of the scene {cell.scene!r}"
         return CheckedCell(cell, "not checked", label, reason=reason)
     own = runs.value(cell.metric, label, cell.scene)
+    number = printed(cell.text)[0]
     if not own or own.value is None:
-        return CheckedCell(cell, "not checked", label, reason=f"{cell.metric} was not measured; add it to the protocol")
-    number, value, under = printed(cell.text)[0], own.value, ""
+        return _without_own(cell, label, number, runs.conventions(cell.metric, label, cell.scene))
+    value, under = own.value, ""
     if not runs.of_scene(cell.scene)[0].protocol.measurement.lpips_net.startswith(cell.network):
         values = runs.conventions(cell.metric, label, cell.scene)
         under = next((name for name in values if name.lower().startswith(cell.network)), "")
@@ -184,6 +186,20 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
     if not under and own.low is not None and own.high is not None and own.low <= number <= own.high:
         return CheckedCell(cell, "undecided", label, value, f"{off}, within the interval {own.low:.4g} to {own.high:.4g}")
     return CheckedCell(cell, "not reproduced", label, value, off)
+
+
+def _without_own(cell: QuotedCell, label: str, number: float, values: Mapping[str, float]) -> CheckedCell:
+    """Judge a cell of a metric that the protocol lacks by its conventions; a match that chance explains says nothing."""
+    absent = f"{cell.metric} was not measured; add it to the protocol"
+    if not values:
+        return CheckedCell(cell, "not checked", label, reason=absent)
+    nearest = min(values, key=lambda name: abs(values[name] - number))
+    share, value = chance(cell.text, [*values.values()]), values[nearest]
+    if abs(value - number) > tolerance(cell.text, value):
+        return CheckedCell(cell, "not reproduced", label, value, f"nearest is {nearest}", share)
+    if share > WEAK_CHANCE:
+        return CheckedCell(cell, "not checked", label, reason=f"{absent}; a chance match: {nearest}")
+    return CheckedCell(cell, "other convention", label, value, nearest, share)
 
 
 def _matching(cell: QuotedCell, runs: Runs) -> tuple[list[str], float]:

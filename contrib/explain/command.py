@@ -65,7 +65,7 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None =
 
     Args:
         runs: scored run folders, one per scene.
-        table: published table: .csv, .tex, .md; a row per method, a column per metric or scene.
+        table: published table: .csv, .tex, .md, or 3DGS's .json; a row per method, a column per metric or scene.
         rows: names of rows that are neither labels nor titles of methods, e.g. "Full model=ours".
         metric: metric of all columns, if the columns are scenes.
         out: folder for a page, a CSV and a badge.

@@ -4,7 +4,7 @@ A pooling makes one number of the values in all frames of all views.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,9 @@ PARTS = {
 }
 
 
+MOST_FRAMES, MOST_STEP = 64, 13
+
+
 @dataclass(frozen=True)
 class Recomputed:
     """A convention and its values.
@@ -48,11 +51,13 @@ class Recomputed:
     Attributes:
         values: ``all views`` or the name of a view -> number.
         is_ours: whether it is this tool's convention.
+        is_rare: whether it is tried only where no other one gives the number, since many of its kind are.
     """
 
     name: str
     values: Mapping[str, float]
     is_ours: bool = False
+    is_rare: bool = False
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,20 @@ def conventions_in_parts(
         if all(frames) and frames not in seen:
             seen.append(frames)
             rows += conventions(series, [_mean_of_part(title, part)], divisors)
+    for title, part in _rare_parts(min(lengths, default=0)):
+        if [range(length)[part] for length in lengths] not in seen:
+            of_part = conventions(series, [_mean_of_part(title, part)], divisors)
+            rows += [replace(row, is_rare=True) for row in of_part]
     return rows
+
+
+def _rare_parts(length: int) -> Iterator[tuple[str, slice]]:
+    """Yield the parts of a clip that have no usual number of frames."""
+    for count in range(2, min(length, MOST_FRAMES)):
+        yield f"the first {count} frames", slice(count)
+        yield f"the last {count} frames", slice(-count, None)
+    for step in range(3, min(length, MOST_STEP)):
+        yield f"one frame in {step}", slice(None, None, step)
 
 
 def frame_means(

@@ -35,6 +35,7 @@ ROUNDING = 5e-6
 # A few dozen conventions are within a decibel or two of each other: two matching digits can be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
+ROUNDED = 5e-4  # share of a value by which 8 bit, rounded or cut, differs from the floats; parts of a clip are as near
 NEAREST = 5  # conventions that do not match and are shown
 MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
@@ -96,13 +97,16 @@ def explain(
         raise MetricError("wanted at least one view, got none; name one")
     number, _ = printed(quoted)
     rows = [*FAMILIES[family](views, masks or {}), *_of_fast_truth(family, views, fast or {})]
-    recomputed = [
-        Convention(row.name, over, value, abs(value - number) <= tolerance(quoted, value), row.is_ours)
-        for row in rows
-        for over, value in row.values.items()
-        if len(views) > 1 or over == ALL_VIEWS
-    ]
-    return sorted(recomputed, key=lambda convention: not convention.is_ours)
+    usual: list[Convention] = []
+    rare: list[Convention] = []
+    for row in rows:
+        for over, value in row.values.items():
+            if len(views) > 1 or over == ALL_VIEWS:
+                matches = abs(value - number) <= tolerance(quoted, value)
+                (rare if row.is_rare else usual).append(Convention(row.name, over, value, matches, row.is_ours))
+    if not any(convention.matches for convention in usual):
+        usual += [convention for convention in rare if convention.views == ALL_VIEWS]
+    return sorted(usual, key=lambda convention: not convention.is_ours)
 
 
 def _of_fast_truth(family: str, views: Views, fast: Mapping[str, FrameReader]) -> list[Recomputed]:
@@ -233,6 +237,14 @@ def explanation_table(
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
     """Return the name the convention of the number, apart from chance matches; those over all views before those over one."""
     everywhere = [convention for convention in conventions if convention.views == ALL_VIEWS]
+    number = printed(quoted)[0]
+    for convention in everywhere:
+        if convention.is_ours and not convention.matches and abs(convention.value - number) <= ROUNDED * abs(number):
+            near = f"{metric} {quoted} is this tool's {convention.value:.6g} up to {abs(convention.value - number):.2g}"
+            return (
+                f"{near}, which rounding to 8 bit explains (round or floor, floats before they were written); "
+                "what else matches so near to it does so by chance"
+            )
     for tried in (everywhere, conventions):
         matching = [convention for convention in tried if convention.matches]
         if matching:

@@ -71,6 +71,7 @@ PREPARATIONS: Mapping[str, Preparation] = {
     "RGB, squared errors summed over channels": both(lambda image: image * np.sqrt(3.0)),
     "RGB, range 2 of images in 0..1": both(lambda image: image / 2),
     "RGB, range of the true frame": stretched,
+    "RGB before it was rounded down to 8 bit": lambda rendered, truth: (rendered + 0.5, truth),
     **{f"RGB, {name}": prepare for name, prepare in FRAMINGS.items()},
     "RGB without a border of 10 %": CROPPED,
     "RGB, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": MVSNERF_ON_LLFF,
@@ -110,6 +111,10 @@ ERRORS: Mapping[str, FrameMeasure] = {
         for name, weights in (("Y alone", (1, 0, 0)), ("all samples (ffmpeg's average)", (4, 1, 1)))
         if name != "Y alone" or "0..255" not in form  # which is a grey of 8 bit
     },
+    # As scripts do that subtract arrays of uint8.
+    "RGB, 8-bit differences and squares that wrap around": lambda rendered, truth: float(np.square(rendered - truth).mean()),
+    "RGB, 8-bit differences (rendered minus truth) that wrap around": lambda *pair: squared_error(pair[0] - pair[1], np.zeros(1)),
+    "RGB, 8-bit differences (truth minus rendered) that wrap around": lambda *pair: squared_error(pair[1] - pair[0], np.zeros(1)),
 }
 DECIBELS: Mapping[str, FrameMeasure] = {
     "RGB, PSNR of each channel, then the mean (3DGS's log)": _of_channels,
@@ -140,6 +145,7 @@ def psnr_conventions(views: Views, masks: Masks) -> list[Recomputed]:
         *conventions(errors, PSNR_POOLINGS, ours=OUR_PSNR),
         *conventions(_masked_errors(views, masks), PSNR_POOLINGS),
         *conventions({name: series[name] for name in DECIBELS}),
+        *conventions({OUR_PSNR: of_frames}, divisors={"10 log10 of peak over RMSE (half of it)": 2, "twice": 0.5}),
         *conventions_in_parts({OUR_PSNR: of_frames}),
     ]
 
@@ -153,6 +159,8 @@ def _masked_errors(views: Views, masks: Masks) -> Series:
         pixels, _, rectangle = errors.values()
         if all(np.array_equal(pixels[view], rectangle[view]) for view in pixels):
             del errors["the rectangle around the mask"]
+        summed = {f"{name}, squared errors summed over channels": of_views for name, of_views in errors.items()}
+        errors |= {name: {view: 3 * values for view, values in of_views.items()} for name, of_views in summed.items()}
     return errors
 
 

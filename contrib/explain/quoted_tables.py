@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
+from statistics import fmean
 
 from ggvs_eval.errors import MetricError, ResultsError
 from ggvs_eval.metrics.registry import METRICS
@@ -97,7 +98,8 @@ def read_quoted(file: Path, metric: str = "") -> QuotedTable:
     """Read a table: a method per row, and a metric or a scene per column; or columns method, scene, metric and value.
 
     Args:
-        file: ``.csv``, ``.tsv``, ``.tex`` or ``.md``; of several tables in one file, all.
+        file: ``.csv``, ``.tsv``, ``.tex`` or ``.md``, of several tables in one file all; or ``.json`` as 3DGS's metrics.py writes
+            it, ``results.json`` or ``per_view.json``.
         metric: metric of all columns, if these are scenes.
 
     Raises:
@@ -106,7 +108,7 @@ def read_quoted(file: Path, metric: str = "") -> QuotedTable:
     """
     if metric and not metric_key(metric):
         raise MetricError(f"wanted a metric of this tool, got {metric!r}; known are {', '.join(METRICS)}")
-    readers = {".csv": _csv_grids, ".tsv": _csv_grids, ".tex": _tex_grids, ".md": _markdown_grids}
+    readers = {".csv": _csv_grids, ".tsv": _csv_grids, ".tex": _tex_grids, ".md": _markdown_grids, ".json": _json_grids}
     if file.suffix.lower() not in readers:
         raise ResultsError(f"{file}: wanted a table as {', '.join(readers)}, got {file.suffix or 'no suffix'}; convert it")
     try:
@@ -146,6 +148,35 @@ def metric_key(head: str) -> str:
 def _csv_grids(text: str) -> Iterator[Grid]:
     delimiter = max(",;\t", key=text.partition("\n")[0].count)
     yield [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
+
+
+def _json_grids(text: str) -> Iterator[Grid]:
+    """Read method -> metric -> number, or numbers of pictures, whose mean is taken; whatever the methods are in is a scene."""
+    import json
+
+    rows: dict[tuple[str, str], dict[str, float]] = {}
+
+    def visit(names: tuple[str, ...], node: object) -> None:
+        if not isinstance(node, dict):
+            return
+        for name, value in node.items():
+            numbers = [*value.values()] if isinstance(value, dict) else [value]
+            if metric_key(name) and numbers and all(isinstance(number, int | float) for number in numbers):
+                scene, method = ("", "", *names)[-2:]
+                rows.setdefault((scene, method), {})[name] = fmean(numbers)
+            else:
+                visit((*names, name), value)
+
+    try:
+        visit((), json.loads(text))
+    except ValueError as error:
+        raise ResultsError(f"the table is not JSON ({error}); write it again") from None
+    metrics = list(dict.fromkeys(metric for row in rows.values() for metric in row))
+    cells = [
+        [scene, method, *(repr(row[metric]) if metric in row else "" for metric in metrics)]
+        for (scene, method), row in rows.items()
+    ]
+    yield [["scene", "method", *metrics], *cells]
 
 
 def _markdown_grids(text: str) -> Iterator[Grid]:

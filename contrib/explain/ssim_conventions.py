@@ -77,7 +77,7 @@ def ssim_conventions(views: Views, masks: Masks, ours: tuple[str, ...] = (OUR_SS
     measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
     if shortest_px >= SMALLEST_PX:
         measures |= {MULTI_SCALE: ms_ssim, TORCH_MULTI_SCALE: torch_ms_ssim}
-    plain = (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
+    plain = (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
     masked: dict[str, FrameMeasure] = {
         f"{OUR_SSIM}, windows inside the mask": partial(_inside, partial(ssim_map, name="gaussian-valid")),
         f"{ZERO_PADDED}, windows inside the mask": partial(_inside, partial(ssim_map, name="gaussian-zero")),
@@ -104,6 +104,9 @@ WINDOWS: Mapping[str, Mapping[str, Any]] = {
     UNIFORM_RANGE_1: {},
     UNIFORM_RANGE_2: {"data_range": 2.0},
     "uniform 7 x 7, range 255 on images in 0..1": {"data_range": 255.0},
+    "uniform 7 x 7, range 1 on images in 0..255": {"data_range": 1 / 255},
+    "Gaussian 11 x 11, valid positions, range 1 on images in 0..255": {**GAUSSIAN, "data_range": 1 / 255},
+    **{f"uniform {side} x {side}, range 1 (scikit-image, win_size {side})": {"side": side} for side in (3, 5, 9)},
     "uniform 7 x 7, range of the true frame": {"data_range": None},
     "uniform 7 x 7, population covariance, range 1": {"unbiased": False},
     "uniform 7 x 7, range 1, luma": {"prepare": both(luma)},

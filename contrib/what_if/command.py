@@ -19,7 +19,8 @@ def what_if(
     """Score rendered frames again with each fault that doctor finds undone.
 
     Shift, scale, frame offset, reversed time, gain, tone curve, value range, channel order and flips are estimated on half of the
-    frames and undone in the other half. Nothing of it enters results, tables or rankings; the page of RUN shows the frames so.
+    frames and undone in the other half; flicker is undone by the gain of each frame. Nothing of it enters results, tables or
+    rankings; the page of RUN shows the frames so.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.

@@ -150,6 +150,8 @@ def _difference(first: Image8, second: Image8) -> float:
 
 
 def _way(finding: Finding, view: ViewFrames) -> Way:
+    if finding.question == "flicker":
+        return _undo_flicker()
     if finding.question in _OF_TIME:
         return _OF_TIME[finding.question](round(finding.values["offset_frames"]))
     transform = change_of(finding, view)
@@ -162,6 +164,17 @@ def _way(finding: Finding, view: ViewFrames) -> Way:
         transform,
         () if transform.is_exact else tuple(_of_pictures(change.inverse) for change in nearby),
     )
+
+
+def _undo_flicker() -> Way:
+    """Return what gives all frames the usual gain against their own truth, which alone knows how bright each should be."""
+
+    def even(view: ViewFrames) -> ViewFrames:
+        gains = {frame: view.rendered(frame).mean() / max(view.truth(frame).mean(), 1.0) for frame in view.frames}
+        usual = np.mean([*gains.values()])
+        return replace(view, rendered=lambda frame: round_levels(view.rendered(frame) * (usual / max(gains[frame], 0.01))))
+
+    return Way("every frame given the usual gain against its truth", even)
 
 
 def _of_pictures(change: Callable[[Image8], Image8]) -> Change:
@@ -182,5 +195,5 @@ _OF_TIME = {"reversed time": _undo_reversal, "frame offset": _undo_offset}
 _FAULTS = (
     *("mirrored", "wrong resize", "focal length", "shift"),
     *_OF_TIME,
-    *("channel order", "value range", "tone curve", "gain"),
+    *("channel order", "value range", "tone curve", "gain", "flicker"),
 )

@@ -49,6 +49,11 @@ class Comparison:
     spread: Spread | None = field(default=None, compare=False)
 
     @property
+    def is_ahead(self) -> bool:
+        """True if the first has the better number, be it by chance."""
+        return self.difference != 0.0 and (self.difference > 0.0) == self.higher_is_better
+
+    @property
     def reversed(self) -> "Comparison":
         """The same, second minus first."""
         outcome: Outcome = {"better": "worse", "worse": "better"}.get(self.outcome, self.outcome)  # type: ignore[assignment]
@@ -88,7 +93,8 @@ class Judgement:
         best: label of the best number among the contenders; empty if nothing is ranked.
         plainest: of one method's labels the one that represents them; empty if there is none.
         comparisons: label -> its decided difference to the best, for every other method that is ranked.
-        variants: ranked methods that do not compete, since one of their kind competes for all -> their difference to that one.
+        variants: ranked methods that do not compete, since one of their kind competes for all -> their difference to that one;
+            the marks of a table count them.
         unranked: label -> why its number is not ranked, as it follows the name.
         intervals: label -> interval of its number, or why there is none; not of methods that are set aside.
     """
@@ -116,9 +122,17 @@ class Judgement:
         return tuple(label for label in self.rivals if self.comparisons[label].outcome in outcomes)
 
     @property
+    def top(self) -> str:
+        """Label of the best number of all, those of variants included, which do not compete for `best`."""
+        ahead = {label: abs(self.comparisons[label].difference) for label in self.variants if self.comparisons[label].is_ahead}
+        return max(ahead, key=lambda label: ahead[label], default=self.best)
+
+    @property
     def winner(self) -> str:
-        """Label of the best where every rival is worse; empty if there is no rival, or no decision."""
-        return self.best if self.rivals and len(self.having("worse")) == len(self.rivals) else ""
+        """Label of the best number where every rival is worse, and its own method too if it is a variant; else empty."""
+        if not self.rivals or len(self.having("worse")) < len(self.rivals):
+            return ""
+        return self.top if self.top == self.best or self.comparisons[self.top].outcome == "better" else ""
 
     @property
     def undecided(self) -> str:
@@ -134,10 +148,17 @@ class Judgement:
 
     @property
     def marked(self) -> frozenset[str]:
-        """Labels of the best and of what is not worse; none if that is undecided, or would be every method."""
+        """Labels of the best and of what is not worse; none if that is undecided, or would be every method.
+
+        Reading:
+            A variant that the clip is too short to call is not known to be worse. Where a variant is better, its method is worse.
+        """
         if self.undecided:
             return frozenset()
-        level = {self.best, *(label for label, comparison in self.comparisons.items() if comparison.outcome in NOT_WORSE)}
+        level = {label for label, comparison in self.comparisons.items() if comparison.outcome in NOT_WORSE}
+        level |= {label for label in self.variants if self.comparisons[label].outcome != "worse"}
+        if not any(self.comparisons[label].outcome == "better" for label in self.variants):
+            level.add(self.best)
         return frozenset(level) if len(level) <= len(self.comparisons) else frozenset()
 
     def interval(self, label: str) -> Interval | None:

@@ -13,8 +13,9 @@ def doctor(
     """Find faults in rendered frames before they are scored.
 
     Finds frame offsets, reversed time, wrong cameras, swapped channels, gains, casts, gamma, wrong video range, flicker, shifts
-    from a quarter of a pixel, wrong resizing or focal length, JPEG, missing and frozen frames, copied reference frames, and a
-    PSNR above the ceiling of noise and codec. Also reports a PSNR that no fault explains, and whether stability is due to blur.
+    from a quarter of a pixel, wrong resizing or focal length, black borders, JPEG, missing and frozen frames, copied reference
+    frames, and a PSNR above the ceiling of noise and codec. Also reports a PSNR that no fault explains, and whether stability is
+    due to blur.
     Exits with 1 if a fault is certain.
 
     Args:

@@ -26,7 +26,7 @@ from ggvs_eval.pipelines.commands.flags import (
     changed_flags,
 )
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
-from ggvs_eval.run_folder import read_json, write_json
+from ggvs_eval.run_folder import RunFolder, read_json, write_json
 
 Videos = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEOS|CAPTURE")]
 # Of raw videos of one make. `calibrate` assumes less; with own pinhole lenses the rig of docs/your_rig.md fails its check.
@@ -110,6 +110,7 @@ def evaluate(
     named = [] if methods == USUAL_METHODS else ["--methods", *methods]
     flags = [*named, *_flag("--calibration", poses), *([] if device == "cpu" else ["--device", device]), *flags]
     flags += [*changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
+    write_json(RunFolder(out / "run").check_record, read_json(verdicts))
     steps.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
     runs.run(out / "run", capture, str(terms), methods, poses=poses, device=device, reading=reading, depth=depth, engine=engine)
 

@@ -40,16 +40,16 @@ class RendersOptions:
     jobs: Jobs = ONE_PER_CORE
 
     @contextmanager
-    def open(self, renders: Path, allow_partial: bool = False) -> Iterator[tuple[RunFolder, list[str]]]:
+    def open(self, *renders: Path, allow_partial: bool = False) -> Iterator[tuple[RunFolder, list[str]]]:
         """A run folder with the frames in question, and what they are called there; it goes where none is named."""
-        if (renders / "protocol.toml").is_file():
-            folder = RunFolder(renders)
+        if len(renders) == 1 and (renders[0] / "protocol.toml").is_file():
+            folder = RunFolder(renders[0])
             yield folder, folder.labels()
             return
         from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, require_there, run_for
         from ggvs_eval.pipelines.run.own_truth import run_with_truth
 
-        require_there(named := named_renders((str(renders),)))
+        require_there(named := named_renders(tuple(map(str, renders))))
         capture, protocol, run = self.capture, self.protocol, self.run
         scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
         if run is None and protocol is None and scored.is_file():
@@ -59,11 +59,20 @@ class RendersOptions:
             opened = partial(self.reading.open, capture) if capture else None
             opening = run_with_truth(root, named, protocol) if self.with_truth else run_for(root, opened, protocol, self.jobs)
             with opening as folder:
-                ((label, path),) = named.items()
-                record = import_renders(folder, label, path, allow_partial, self.jobs, self.first_frame, link=run is None)
-                for note in record["notes"]:
-                    print(f"{label}: {note}", file=sys.stderr)
-            yield folder, [label]
+                for label, path in named.items():
+                    record = import_renders(folder, label, path, allow_partial, self.jobs, self.first_frame, link=run is None)
+                    for note in record["notes"]:
+                        print(f"{label}: {note}", file=sys.stderr)
+            yield folder, [*named]
+
+    @contextmanager
+    def scored(self, *renders: Path) -> Iterator[tuple[RunFolder, list[str]]]:
+        """Open the same with their scores."""
+        from ggvs_eval.pipelines.run.score import score
+
+        with self.open(*renders) as (folder, labels):
+            score(folder, self.jobs)
+            yield folder, labels
 
 
 RendersFlags = tyro.conf.OmitArgPrefixes[RendersOptions]

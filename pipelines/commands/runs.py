@@ -150,6 +150,7 @@ def score(
     from ggvs_eval.pipelines.run.own_truth import compare_published, run_with_truth
     from ggvs_eval.pipelines.run.score import require_labels
     from ggvs_eval.pipelines.run.score import score as measure
+    from ggvs_eval.reports.tables_of_runs import scores_text
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
@@ -164,7 +165,7 @@ def score(
                 print(f"{name}: {note}", file=sys.stderr)
         require_labels(target)
     results = measure(target, jobs, device=checked_device(device))
-    print(results.text(target.shown_names))
+    print(scores_text(target.root))
     if with_truth:
         print("own truth: measured against the images included with the renders, not against a capture")
         print(*compare_published(named, results), sep="\n", end="\n" if named else "")
@@ -202,6 +203,7 @@ def merge(
     """
     from ggvs_eval.pipelines.run.score import score
     from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
+    from ggvs_eval.reports.tables_of_runs import scores_text
 
     if len(runs) < 2:
         raise ResultsError(f"wanted at least two run folders to merge into {out}, got {len(runs)}; copy a single one")
@@ -211,7 +213,8 @@ def merge(
         if missing:
             print(f"{out}: no table yet, {missing}; merge the runs with these, or render them here", file=sys.stderr)
         else:
-            print(score(merged, jobs).text(merged.shown_names))
+            score(merged, jobs)
+            print(scores_text(merged.root))
 
     print(merge_runs(out, runs, copy, finish).root)
 
@@ -250,6 +253,7 @@ def run(
     from ggvs_eval.pipelines.run.outlook import print_plan
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
     from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, room_labels, run_demos, unpack_rooms
+    from ggvs_eval.reports.tables_of_runs import scores_text
 
     methods, splats = named_scenes(methods)
     root, networks = engine.place(run), _networks(weights, device, splats)
@@ -266,7 +270,7 @@ def run(
     if dry_run:
         return
     results = measure(plan, engine)
-    print(results.text(plan.run.shown_names))
+    print(scores_text(plan.run.root))
     for line in results.fault_lines():
         print(line, file=sys.stderr)
     print(report([root]))

@@ -20,7 +20,7 @@ def steadiness(
     """Measure stability and sharpness of videos without a reference.
 
     Args:
-        videos: NAME=PATH per method: folder of numbered pictures, .mp4, .mov, .npy or .npz.
+        videos: NAME=PATH per method: folder of numbered pictures or of views, .mp4, .mov, .npy or .npz.
         depth: paths are depth or disparity maps: .png, .tif, .pfm, .npy, .npz or grey video.
         mask: picture, white in static areas, for a fixed camera; all pixels by default.
         colmap: also test whether COLMAP registers a video of a moving camera (a few seconds each).

@@ -3,16 +3,19 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from ggvs_eval.arrays import Mask
 from ggvs_eval.built_in import COLMAP_METRICS, METRICS_OF_VIDEOS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import read_image
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_files
 from ggvs_eval.metrics.metric import Metric
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS, describe_metrics
 from ggvs_eval.metrics.series_scores import mean_values, score_depths, score_frames
 from ggvs_eval.renders.sequences import read_depths, read_frames
+from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -35,17 +38,34 @@ class Steadiness:
 def measure_steadiness(
     videos: Mapping[str, Path], *, depth: bool = False, mask: Path | None = None, with_colmap: bool = False
 ) -> Steadiness:
-    """Measure each video, or depth video, without truth."""
+    """Measure each video, or depth video, without truth; of a folder of views each view, and their mean."""
     static = None if mask is None else read_image(mask)[..., 0] > 127
     metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in METRICS_OF_VIDEOS]
     metrics += [METRICS[name] for name in COLMAP_METRICS if with_colmap]
     steadiness = Steadiness(describe_metrics(metrics), {}, {}, {})
     for name, path in videos.items():
-        values, reasons, steadiness.shapes[name] = _measured(path, depth, static)
-        if with_colmap:
-            _add_colmap(path, values, reasons)
-        steadiness.values[name], steadiness.not_computed[name] = values, reasons
+        views = {name: path} if depth else _views(name, path)
+        for view, video in views.items():
+            values, reasons, steadiness.shapes[view] = _measured(video, depth, static)
+            if with_colmap:
+                _add_colmap(video, values, reasons)
+            steadiness.values[view], steadiness.not_computed[view] = values, reasons
+        if name not in views:
+            numbers = [steadiness.values[view] for view in views]
+            shared = [metric for metric in numbers[0] if all(metric in values for values in numbers)]
+            mean = f"{name}, mean of {len(views)} views"
+            steadiness.values[mean] = {metric: fmean(values[metric] for values in numbers) for metric in shared}
+            steadiness.not_computed[mean] = steadiness.not_computed[next(iter(views))]
+            steadiness.shapes[mean] = steadiness.shapes[next(iter(views))]
     return steadiness
+
+
+def _views(name: str, path: Path) -> dict[str, Path]:
+    """Return the videos of a folder of views, as `score` takes it, by names; a folder of pictures is one video."""
+    if not path.is_dir() or list_files(path, IMAGE_SUFFIXES):
+        return {name: path}
+    views = [*filter(Path.is_dir, path.iterdir()), *list_files(path, (*VIDEO_SUFFIXES, *ARRAY_SUFFIXES))]
+    return {f"{name} {view.stem}": view for view in sorted(views)} or {name: path}
 
 
 @dataclass

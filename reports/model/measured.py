@@ -17,6 +17,7 @@ from ggvs_eval.coverage import read_coverage, read_import
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.finding import SEVERITY, Finding
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import DASH, Cell, Row, RowKind, format_value
@@ -216,6 +217,19 @@ class MeasuredRun:
     def capture(self) -> dict[str, Any]:
         """Record of the capture; empty in a folder of numbers alone."""
         return self.folder.capture_record() if self.folder.has_capture_record else {}
+
+    @cached_property
+    def open_findings(self) -> tuple[Finding, ...] | None:
+        """Findings of `check` that call for an action, one subject for all with the same; None if the capture was not checked."""
+        if not self.folder.check_record.is_file():
+            return None
+        alike: dict[tuple[str, str], list[Finding]] = {}
+        for record in read_json(self.folder.check_record)["findings"]:
+            finding = Finding(**record)
+            if finding.verdict != "ok" and finding.advice:
+                alike.setdefault((finding.question, finding.measured), []).append(finding)
+        groups = [replace(group[0], subject=", ".join(finding.subject for finding in group)) for group in alike.values()]
+        return tuple(sorted(groups, key=lambda finding: -SEVERITY[finding.verdict]))
 
     @cached_property
     def calibration(self) -> Calibration | None:

@@ -303,7 +303,9 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
         ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
     """
     if run is None and not all(RunFolder(Path(each)).protocol_file.is_file() for each in (first, second)):
-        raise ResultsError(f"wanted two run folders, got {first} and {second}; for two methods of one run add --run RUN")
+        raise ResultsError(
+            f"wanted two run folders, got {first} and {second}; for methods of one run add --run RUN, for renders --capture DIR"
+        )
     pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
     named = {one.name if run is None else f"{one.name} against {other.name}": (one, other) for one, other in pairs}

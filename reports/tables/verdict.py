@@ -68,7 +68,7 @@ def _not_comparable(results: Results, dataset: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Leader:
-    """Best method in one column of a table.
+    """Best number in one column of a table, that of an ablation included.
 
     Attributes:
         dataset: that the table is of.
@@ -99,11 +99,12 @@ def _leaders_of(table: Table) -> list[Leader]:
     for at, column in enumerate(table.columns):
         judgement = table.judgements.get(column.name)
         if judgement and judgement.best:
-            best = rows[judgement.best]
-            ties, short = (
-                tuple(rows[each].name for each in judgement.having(*kinds)) for kinds in (("as good", "equal"), ("too short",))
-            )
-            found.append(Leader(column, table.dataset, best.name, best.cells[at], ties, short, judgement))
+            best, method = rows[judgement.top], judgement.comparisons.get(judgement.top)
+            ties, short = [*judgement.having("as good", "equal")], [*judgement.having("too short")]
+            if method and method.outcome != "better":  # an ablation has the better number, maybe by chance
+                (short if method.outcome == "too short" else ties).insert(0, judgement.best)
+            ties, short = ([rows[label].name for label in labels] for labels in (ties, short))
+            found.append(Leader(column, table.dataset, best.name, best.cells[at], tuple(ties), tuple(short), judgement))
     return found
 
 
@@ -271,7 +272,8 @@ def _words(
         if judgement.unranked.keys() <= results.set_aside.keys():
             return f"Only {best.name} is ranked", f"{best.name} has {number}"
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
-    rival = next((one for one in contenders[1:] if one.name in (*leader.ties, *leader.short)), contenders[1])
+    tied = judgement.having("as good", "equal")
+    rival = next((one for one in contenders[1:] if one.label in (*tied, *judgement.having("too short"))), contenders[1])
     comparison = judgement.comparisons[rival.label]
     if comparison.outcome == "equal":
         return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"
@@ -282,8 +284,8 @@ def _words(
         frames, views = runs[0].protocol.frames.count, len(runs[0].protocol.views.test)
         looked_at = f"{counted(frames, 'frame')} of {counted(views, 'view')}"
         return f"No winner can be named from {looked_at}", f"{best.name} is {by} ahead of {second}; {judgement.undecided}"
-    if leader.ties:
-        rivals = rival.name if len(leader.ties) == 1 else f"{len(leader.ties)} others"
+    if tied:
+        rivals = rival.name if len(tied) == 1 else f"{len(tied)} others"
         return (
             f"{best.name} and {rivals} tie",
             f"{by} between {best.name} and {second} is not significant{interval}",

@@ -52,6 +52,7 @@ def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
     assert Path(told.splitlines()[-1]) == out / "run" / "report" / "index.html"
     assert (out / "run" / "report" / "index.html").is_file()
     assert RunFolder(out / "run").protocol().frames.count == 2
+    assert RunFolder(out / "run").check_record.read_bytes() == (out / "check.json").read_bytes()
     first = Results.read(out / "run").table
     call("evaluate", room / "videos", out, *FAST)
     assert [words[1] for words in steps(capsys.readouterr().out)] == ["check", "run"]

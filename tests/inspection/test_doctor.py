@@ -10,6 +10,7 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize, round_levels
 from ggvs_eval.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.border import find_border
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
@@ -353,6 +354,20 @@ def test_repeated_and_frozen_frames_are_listed(honest, truth):
     assert "frame 3 repeats frame 2 while" in once.measured
     assert "all 9 frames show one instant" in frozen.measured
     assert examine({VIEW: view_of(repeated, captured)}) == []
+
+
+def test_a_black_border_is_named_and_ragged_holes_are_not(honest, truth):
+    """Lines that are black where the truth has a picture are a border with a straight edge; a method's holes end unevenly."""
+    bordered = honest["blurred"][VIEW].copy()
+    bordered[:, :6] = 0
+    bordered[:, :, -4:] = 0
+    (finding,) = find_border(VIEW, view_of(bordered, truth[VIEW]))
+    assert finding.measured.endswith("4 px right, 6 px top")
+    ragged = honest["blurred"][VIEW].copy()
+    for row in range(ragged.shape[1]):
+        ragged[:, row, : 4 + row % 9] = 0
+    assert find_border(VIEW, view_of(ragged, truth[VIEW])) == []
+    assert find_border(VIEW, view_of(honest["blurred"][VIEW], truth[VIEW])) == []
 
 
 @pytest.mark.slow

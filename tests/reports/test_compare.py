@@ -1,6 +1,7 @@
 """`ggvs-eval compare`: planted differences are found, chance is not taken for one, and what does not compare is refused."""
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +158,21 @@ def test_command_line_tells_what_differs(runs, tmp_path, capsys):
     for line in lines:
         assert float(line["difference"]) == pytest.approx(float(line["first"]) - float(line["second"]), abs=1e-9)
         assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05 and "too short" not in line["verdict"])
+
+
+@pytest.mark.slow
+def test_renders_are_compared_as_score_takes_them(tmp_path, capsys, monkeypatch):
+    """Two folders of renders and their capture need no run: the difference is that of their scores."""
+    monkeypatch.chdir(tmp_path)
+    run_command(["demo", "quick", "--quick"])
+    terms = Path("quick/quick.toml").read_text(encoding="utf-8")
+    Path("psnr.toml").write_text(re.sub(r"metrics = \[[^\]]*\]", 'metrics = ["PSNR", "L1"]', terms), encoding="utf-8")
+    capsys.readouterr()
+    run_command(["compare", "quick/fixed", "quick/late", "--capture", "quick/room", "--protocol", "psnr.toml"])
+    printed = capsys.readouterr().out
+    assert re.search(r"PSNR \(dB\) +all +31\.86 +27\.64 +\+4\.22", printed)
+    assert "late shows every frame one instant late" in printed or "second shows every frame one instant late" in printed
+    assert not Path("scores").exists()
 
 
 def test_one_capture_in_folders_of_two_names_compares(tmp_path):

@@ -13,10 +13,13 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.page.pictures import compare_frames, error_map
 from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report, with_sections
 from ggvs_eval.reports.tables.table_formats import escape_latex
-from ggvs_eval.run_folder import frame_path, read_json, write_json
+from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
@@ -56,6 +59,20 @@ def test_page_loads_nothing(report):
     assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
     assert not re.search(r"url\(|@import|\bfetch\(|XMLHttpRequest|import\(", text)
     assert "default-src 'none'" in text
+
+
+@pytest.mark.slow
+def test_open_findings_of_check_are_on_the_page(tmp_path):
+    """What `check` found is on the first screen and in full in "What was measured"; an unchecked capture has the command."""
+    run = RunFolder(write_run(tmp_path / "run"))
+    assert "was not checked" in render_page(with_sections(Report(read_groups([run.root]))))
+    repeats = {"question": "frozen frames", "measured": "frames 3, 9 repeat the one before", "advice": "give the original video"}
+    findings = [{"subject": name, "verdict": "bad", "values": {}, **repeats} for name in ("cam01", "cam02")]
+    fine = {"subject": "rig", "question": "noise", "verdict": "ok", "measured": "2", "values": {}, "advice": ""}
+    write_json(run.check_record, {"findings": [fine, *findings]})
+    page = render_page(with_sections(Report(read_groups([run.root]))))
+    assert "Check found faults in room: frozen frames." in page
+    assert "<dt>frozen frames, cam01, cam02</dt><dd>frames 3, 9 repeat the one before; give the original video</dd>" in page
 
 
 def test_places_linked_in_the_page_exist(report):

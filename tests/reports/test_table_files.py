@@ -12,13 +12,15 @@ import pytest
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import paper_tables, reproduce
 from ggvs_eval.reports.tables.table_formats import copyable, to_csv, to_latex, write_excel
-from ggvs_eval.reports.tables_of_runs import tables_of_runs
+from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from ggvs_eval.reports.tables_of_runs import scores_text, tables_of_runs
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
@@ -178,3 +180,24 @@ def test_code_in_captions_is_code_in_latex(nasty_run):
     assert r"Made by \texttt{ggvs-eval sweep a\_b}, 50 \% of it" in text
     assert r"see \texttt{K}" in text
     assert "`" not in text.partition(r"\begin{table}")[2]
+
+
+def test_score_prints_what_the_page_judges(tmp_path, monkeypatch):
+    """The headline, rows from the best down with their intervals, stars where the page is bold; narrow terminals get blocks."""
+    run = write_run(tmp_path / "run", RunShape(frames=Frames(0, 40), dataset="DyNeRF"))
+    measured = read_run(run)
+    tables = main_tables([measured], measured.results, with_grey=False)
+    verdict = evaluate_verdict([measured], measured.results, tables)
+    monkeypatch.setenv("COLUMNS", "1000")
+    headline, names, *rows, _ = scores_text(run).splitlines()
+    assert headline == f"{verdict.headline}. {verdict.margin}"
+    assert [row.split()[0] for row in rows] == [one.label for one in (*verdict.contenders, *verdict.parts)]
+    for line in rows:
+        cells = [cell for table in tables for row in table.rows if row.label == line.split()[0] for cell in row.cells]
+        assert line.count("*") == sum(cell.best for cell in cells)
+        assert all(cell.spread in line for cell in cells)
+    monkeypatch.setenv("COLUMNS", "50")
+    blocks = scores_text(run).splitlines()[1:]
+    assert max(map(len, blocks)) <= 50
+    assert " ".join(blocks).split().count(rows[0].split()[0]) > 1
+    assert names.split() == [word for line in blocks if line.startswith("  ") for word in line.split()]

@@ -4,6 +4,7 @@ import pytest
 
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.outlook import describe_outdated
+from ggvs_eval.reports.tables_of_runs import scores_text
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
@@ -41,7 +42,7 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
     run_command(["run", *words])
     results = Results.read(run.root)
     made, printed = results.summary(), capsys.readouterr()
-    assert printed.out == f"{results.text(run.shown_names)}\n{run.report / 'index.html'}\n"
+    assert printed.out == f"{scores_text(run.root)}\n{run.report / 'index.html'}\n"
     assert "another version" not in printed.err
     assert describe_outdated([run]) == ""
     make_old(run)

@@ -14,6 +14,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.run.score_path import path_tasks, read_paths
+from ggvs_eval.pipelines.run.steadiness import measure_steadiness
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
@@ -69,6 +70,17 @@ def write_video(folder, frames):
     for index, frame in enumerate(frames):
         write_image(folder / f"{index}.png", frame)
     return folder
+
+
+def test_a_folder_of_views_is_measured_as_score_takes_it(tmp_path):
+    """Each view has a row, and their mean one more; the mean is that of the views."""
+    for view, step in (("cam00", 1), ("cam01", 2)):
+        write_video(tmp_path / "renders" / view, [rendered(VIEWS[0], frame) for frame in FRAMES[::step]])
+    values = measure_steadiness({"mine": tmp_path / "renders"}).values
+    assert list(values) == ["mine cam00", "mine cam01", "mine, mean of 2 views"]
+    first, second, mean = (row["mTV"] for row in values.values())
+    assert mean == pytest.approx((first + second) / 2)
+    assert first != second
 
 
 def test_videos_are_measured_without_a_run(tmp_path, capsys):

@@ -166,12 +166,12 @@ def test_a_single_frame_has_no_test():
 
 
 def test_variants_are_no_rivals_of_their_method():
-    """An ablation that is as good, or better, keeps its method from no victory and wins none; alone they compete."""
+    """An ablation is no rival, but what is better wins the column alone, as `compare` says; alone they compete."""
     shared = make_shared()
     values = {"x": shared - 0.5, "own": shared, "own+less": shared + 0.3}
     rows = [row for at, (label, one) in enumerate(values.items()) for row in make_rows(label, "PSNR", one + make_noise(at, 0.1))]
     judgement = judge(make_results(rows), "PSNR", True, "Demo", own_labels=("own", "own+less"))
-    assert (judgement.winner, judgement.rivals, judgement.marked) == ("own", ("x",), {"own", "own+less"})
+    assert (judgement.best, judgement.rivals, judgement.winner, judgement.marked) == ("own", ("x",), "own+less", {"own+less"})
     assert judgement.variants["own+less"].outcome == "better"
     alone = judge(make_results(rows[len(rows) // 3 :]), "PSNR", True, "Demo", own_labels=("own", "own+less"))
     assert (alone.winner, alone.variants) == ("own+less", {})

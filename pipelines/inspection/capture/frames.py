@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.files.video import DEINTERLACE, VideoFrames
-from ggvs_eval.finding import RIG, Finding
+from ggvs_eval.finding import RIG, Finding, graded
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
 
 FRAMES, FROZEN = "frames", "frozen frames"
@@ -20,7 +20,7 @@ STILL_SHARE = 0.1
 LEAST_CHANGE = 1.0
 # The other cameras must show at least this share of their usual change at that instant.
 MOVING_SHARE = 0.3
-BAD_FROZEN = 3
+BAD_FROZEN = 0.1  # of the frames: a count would call a fault of a long clip bad, of a short one not
 LISTED = 6
 ENCODED = "-c:v libx264 -crf 12 OUT.mp4"
 TO_SDR = (
@@ -163,7 +163,8 @@ def _evaluate_frozen(name: str, frames: list[int], n_frames: int, fps: float) ->
         remedy = "leave the repeats out (then 'check --repair' pairs the frames by time)"
         advice = f"give the original video, or {remedy}: ffmpeg -i IN -vf decimate=cycle={period} {ENCODED}"
         return Finding(name, FROZEN, "bad", f"{stored}: {text}", values, advice)
-    return Finding(name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", text, values, "copy or convert this video again")
+    verdict = graded(len(frames) / n_frames, 0.0, BAD_FROZEN)
+    return Finding(name, FROZEN, verdict, text, values, "copy or convert this video again")
 
 
 def repeat_period(frames: Sequence[int], n_frames: int) -> int | None:

@@ -12,6 +12,7 @@ from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import mean_of_channels, resize, round_levels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.pipelines.inspection.renders.border import find_border
 from ggvs_eval.pipelines.inspection.renders.copied import WINDOW, find_copied
 from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import (
@@ -224,7 +225,8 @@ def _find_traces(name: str, view: ViewFrames, questions: Collection[str]) -> lis
     """Look for traces in the pixels as they are on disk. JPEG has a period, and so have enlarged crops."""
     if "wrong size" in questions:
         return []
-    return find_jpeg(name, view) or ([] if "wrong resize" in questions else find_upscaling(name, view))
+    periods = find_jpeg(name, view) or ([] if "wrong resize" in questions else find_upscaling(name, view))
+    return [*find_border(name, view), *periods]
 
 
 def faults_table(findings: Sequence[Finding]) -> str:

@@ -16,6 +16,7 @@ from ggvs_eval.arrays import Array, Array32, Image8
 from ggvs_eval.coverage import guessed_first
 from ggvs_eval.files.images import mean_of_channels, round_levels
 from ggvs_eval.finding import Finding, verdict_of
+from ggvs_eval.pipelines.inspection.renders.border import find_border
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import (
@@ -126,7 +127,8 @@ class QuickChecks:
         # Copies among renders of another exposure flicker, too.
         is_copied = any(finding.verdict != "unknown" for finding in copied)
         flicker = [] if is_copied else find_flicker(self._view, view)
-        findings = [*scan.findings, *repeated, *mirrored, *sampled, *copied, *flicker]
+        border = [] if mirrored else find_border(self._view, middle)
+        findings = [*scan.findings, *repeated, *mirrored, *sampled, *border, *copied, *flicker]
         return [finding for finding in findings if finding.verdict != "unknown"]
 
 

@@ -146,6 +146,13 @@ PSNR_OF_FRAMES = {
     "RGB, PSNR of each channel, then the mean (3DGS's log)": lambda r, c: np.mean(
         [decibels(squared(r[..., n], c[..., n])) for n in range(3)]
     ),
+    "RGB, 8-bit differences and squares that wrap around, mean of the frames' PSNR": lambda r, c: decibels(((r - c) ** 2).mean()),
+    "RGB, 8-bit differences (truth minus rendered) that wrap around, mean of the frames' PSNR": lambda r, c: decibels(
+        np.mean((c - r).astype(float) ** 2)
+    ),
+    "RGB, mean of the frames' PSNR, 10 log10 of peak over RMSE (half of it)": lambda r, c: (
+        10 * np.log10(255 / np.sqrt(squared(r, c)))
+    ),
     "RGB, without a border of 4 px, mean of the frames' PSNR": lambda r, c: decibels(squared(r[4:-4, 4:-4], c[4:-4, 4:-4])),
     "YUV 4:2:0 of 8 bit (BT.709, 16..235), (6 Y + U + V) / 8": lambda r, c: np.average(
         [decibels(squared(*planes)) for planes in zip(yuv_420(r), yuv_420(c), strict=True)], weights=(6, 1, 1)
@@ -158,6 +165,7 @@ PSNR = {name: lambda measure=measure: mean_over_frames(measure) for name, measur
         mean_over_frames(lambda r, c: squared(r, enlarged(half(c))))
     ),
     "RGB, mean of the frames' PSNR, without the first frame": lambda: psnr_of_some(slice(1, None)),
+    "RGB, mean of the frames' PSNR, the last 2 frames": lambda: psnr_of_some(slice(-2, None)),
     "RGB, mean of the frames' PSNR, every second frame": lambda: psnr_of_some(slice(None, None, 2)),
 }
 
@@ -171,6 +179,14 @@ def test_conventions_of_psnr(name):
     assert name in names
     # Of this photograph both matrices of YUV give the same within single precision.
     assert {other for other in names if "BT.601, 16" not in other} == {name}
+
+
+def test_a_number_next_to_the_tools_own_is_rounding():
+    """Floats before they were written differ by so little; that another convention is as near is chance, and said so."""
+    own = mean_over_frames(PSNR_OF_FRAMES["RGB, mean of the frames' PSNR"])
+    quoted = f"{own + 0.004:.4f}"
+    told = " ".join(explanation_table("psnr", quoted, explain_again("psnr", quoted)).split())
+    assert f"PSNR {quoted} is this tool's {own:.6g} up to 0.004, which rounding to 8 bit explains" in told
 
 
 def test_colour_corrected_psnr_is_ours():

@@ -98,6 +98,16 @@ def test_other_formats_give_the_same_cells(name, text, tmp_path):
     ]
 
 
+def test_the_files_of_3dgs_are_tables(tmp_path):
+    """results.json is read as it is, and per_view.json as the mean over its pictures; another file says what is wrong."""
+    whole = '{"ours_30000": {"SSIM": 0.9383, "PSNR": 31.86, "speed": 3}}'
+    assert read(tmp_path, "results.json", whole) == [("ours_30000", "", "SSIM", "0.9383"), ("ours_30000", "", "PSNR", "31.86")]
+    by_view = '{"room": {"ours": {"PSNR": {"00000.png": 30.0, "00001.png": 31.0}}}}'
+    assert read(tmp_path, "per_view.json", by_view) == [("ours", "room", "PSNR", "30.5")]
+    with pytest.raises(ResultsError, match="the table is not JSON"):
+        read(tmp_path, "broken.json", "{")
+
+
 def test_columns_can_be_scenes(tmp_path):
     """The field's per-scene table of one metric, which is named."""
     found = read(tmp_path, "scenes.csv", "Method,fern,flower,Avg.\nA,22.6,28.0,25.3\n", "psnr")
@@ -111,7 +121,7 @@ def test_columns_can_be_scenes(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("paper.pdf", b"%PDF", r"wanted a table as \.csv, \.tsv, \.tex, \.md, got \.pdf; convert it"),
+        ("paper.pdf", b"%PDF", r"wanted a table as \.csv, \.tsv, \.tex, \.md, \.json, got \.pdf; convert it"),
         ("words.csv", b"method,PSNR\nA,good\n", "wanted numbers under heads such as PSNR"),
         ("empty.tex", b"", "wanted numbers under heads such as PSNR"),
         ("latin.csv", "méthode,PSNR\nA,30.1\n".encode("latin-1"), "wanted a table as text in UTF-8"),
@@ -157,7 +167,7 @@ def test_each_planted_error_has_its_verdict(run):
     assert [one.verdict for one in found] == ["reproduced", "not reproduced", *["not checked"] * 3]
     assert found[1].reason.startswith("off by +5")
     assert [one.reason.partition(";")[0] for one in found[2:]] == [
-        "no method 'somebody' in the runs",
+        f"no method 'somebody' in the runs ({', '.join(LABELS)})",
         "no run of the scene 'elsewhere'",
         "LPIPS was not measured",
     ]

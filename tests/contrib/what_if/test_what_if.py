@@ -114,6 +114,16 @@ def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
     assert score.value > honest.scores["PSNR"].value
 
 
+def test_flicker_is_undone_frame_by_frame(soft, truth):
+    """Gains that jump are taken back by each frame's own truth; the score is that of the steady frames."""
+    gains = np.where(np.arange(N_FRAMES) % 2, 1.04, 0.96)
+    flickering: Spoil = lambda view: lambda index: round_levels(view.rendered(index) * gains[index])  # noqa: E731
+    found = examined(views_of(soft, truth, flickering))
+    assert faults(found) == ["flicker"]
+    assert found.rows[1].scores["PSNR"].value == pytest.approx(unspoilt(soft, truth, found), abs=0.05)
+    assert found.rows[1].scores["PSNR"].value > found.rows[0].scores["PSNR"].value + 0.2
+
+
 def test_several_faults_have_a_row_each_and_one_together(soft, truth):
     """Only all of them together give back the score; each alone is shown, too."""
     both = lambda view: late(ViewFrames(each_picture(lambda image: image[..., ::-1])(view), view.truth, FRAMES))  # noqa: E731
