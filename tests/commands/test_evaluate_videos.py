@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, CommandError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.commands.evaluate import evaluate
@@ -14,6 +15,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
 from helpers.refusals import refused
+from helpers.small_rig import film, make_cameras
 
 pytestmark = [pytest.mark.usefixtures("no_figures")]
 FAST = ("--methods", "no-blending", "--frames", "2", "--jobs", "1")
@@ -60,6 +62,23 @@ def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
     for words in [["protocol", out / "capture", tmp_path / "again.toml", "--check", out / "check.json", "--frames", "2"]]:
         call(*words)  # what was said does the same
     assert (tmp_path / "again.toml").read_text() == (out / "protocol.toml").read_text()
+
+
+@pytest.mark.proof  # COLMAP and depth, some forty seconds of a core
+def test_videos_of_unequal_lengths_and_rates_become_a_page_by_repair(tmp_path):
+    """The refusal names the option, which takes the span that all have; the videos stay as they are."""
+    (tmp_path / "videos").mkdir()
+    for index, camera in enumerate(make_cameras()):
+        images = film(camera)
+        if index == 4:
+            images = [images[round(1.2 * frame)] for frame in range(20)]
+        write_video(tmp_path / "videos" / f"{camera.name}.mp4", images[: 21 if index == 2 else 24], 25 if index == 4 else 30)
+    with pytest.raises(CaptureError, match="--repair' takes the span that all have"):
+        evaluate(tmp_path / "videos", tmp_path / "out")
+    call("evaluate", tmp_path / "videos", tmp_path / "out", *FAST, "--repair")
+    capture = open_capture(tmp_path / "out" / "capture")
+    assert (capture.n_frames, capture.fps) == (18, 25.0)
+    assert (tmp_path / "out" / "run" / "report" / "index.html").is_file()
 
 
 def test_another_rig_in_the_folder_of_one_is_refused(tmp_path, monkeypatch):
