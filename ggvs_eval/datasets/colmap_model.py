@@ -145,8 +145,8 @@ def _view(folder: Path, image: ModelImage, points: Array) -> CalibratedView:
     seen = points[at[points[at, 0] == image.points], 1:]
     depth = seen @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
-    nearest, median, farthest = np.percentile(depth, PERCENTILES).tolist() if len(depth) >= FEWEST_POINTS else (0.0, 0.0, 0.0)
-    return CalibratedView(image.name, world_to_camera, lens, (nearest, median, farthest) if farthest else None, length)
+    percentiles = tuple(np.percentile(depth, PERCENTILES).tolist()) if len(depth) >= FEWEST_POINTS else None
+    return CalibratedView(image.name, world_to_camera, lens, percentiles, length)
 
 
 def lens_of_colmap(model: str, width: int, height: int, params: Sequence[float]) -> Lens:

@@ -58,8 +58,8 @@ def find_cameras(path: Path) -> dict[Path, str]:
     """Return the files up to four levels below a folder that hold cameras, with what they hold; names say nothing."""
     folders = [list_entries(path)]
     for entries in folders:
-        is_deep = len(entries[0].relative_to(path).parts) > DEEPEST if entries else True
-        folders += [] if is_deep else [inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))]
+        if entries and len(entries[0].relative_to(path).parts) <= DEEPEST:
+            folders += [inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))]
     files = [file for folder in folders for file in folder[:MOST_FILES] if file.is_file() and not is_own(file)]
     held = {
         file: held_cameras(_content(file)) for file in files if file.suffix.lower() not in MEDIA and not TEXTS.search(file.name)

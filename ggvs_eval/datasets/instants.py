@@ -32,13 +32,15 @@ TIMES = re.compile(r"time|stamp|sync", re.I)
 DEEPEST = 2
 CAMERA = re.compile(r"cam|device|view|port|serial", re.I)  # columns
 PAIRING_FILE = "pair_by_time.txt"
-PAIRING = "Frames of this capture are paired by the times in its videos, or by their timecodes; without this file by number.\n"
 
 
 def write_pairing(path: Path) -> Path:
     """Write the file in a capture that makes all commands pair its frames by time, and return it."""
     file = (path if path.is_dir() else path.parent) / PAIRING_FILE
-    file.write_text(PAIRING, encoding="utf-8")
+    file.write_text(
+        "Frames of this capture are paired by the times in its videos, or by their timecodes; without this file by number.\n",
+        encoding="utf-8",
+    )
     return file
 
 
