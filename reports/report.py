@@ -105,8 +105,8 @@ def write_report(
     """
     roots = [Path(root) for root in runs]
     sweeps = tuple(root for root in roots if is_sweep(root))
-    shown = [run for root in roots for run in (sweep_runs(root) if root in sweeps else [root])]
-    groups = read_groups(shown)
+    run_roots = [run for root in roots for run in (sweep_runs(root) if root in sweeps else [root])]
+    groups = read_groups(run_roots)
     out = RunFolder(roots[0]).report if out is None else out
     folder = None if standalone else out
     report = Report(groups, sweeps=sweeps, tables_of=tuple(map(Path, tables_of)), folder=folder)

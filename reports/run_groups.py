@@ -79,6 +79,6 @@ def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun])
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
     """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where these are the same."""
     terms = [(scene, run.protocol.name, run.sources_text) for run, scene in zip(firsts, scenes, strict=True)]
-    names = [", ".join(filter(None, each)) for each in terms]
+    names = [", ".join(filter(None, parts)) for parts in terms]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
     return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]

@@ -109,10 +109,10 @@ class Runs:
         except GgvsError:  # frames that are gone, or a metric with one convention
             return {}
 
-    def outcome(self, metric: str, scene: str, label: str, other: str) -> str:
+    def outcome(self, metric: str, scene: str, label: str, rival: str) -> str:
         """Return how the runs of a scene decide between two methods, in words; empty if the first is better or worse."""
         runs = self.of_scene(scene)
-        return describe_outcome(runs, merge_results([run.results for run in runs]), (metric, label, other))
+        return describe_outcome(runs, merge_results([run.results for run in runs]), (metric, label, rival))
 
     def _measure(self, metric: str, scene: str) -> dict[str, Cell]:
         runs = self.of_scene(scene)
@@ -124,14 +124,14 @@ class Runs:
 
     def _recompute(self, metric: str, label: str, scene: str) -> dict[str, float]:
         family = metric_family(re.sub(r"(?<=dssim)[12]$", "", metric.lower()).replace("_", "-"))
-        found: dict[str, list[float]] = {}
+        values_by_name: dict[str, list[float]] = {}
         runs = self.of_scene(scene)
         for run in runs:
             views = views_of_run(run.folder, label, as_measured=True)
-            for one in explain(family, "0", views, fast=fast_truth(run.folder)):
-                if one.views == ALL_VIEWS:
-                    found.setdefault(one.name, []).append(one.value)
-        return {name: float(np.mean(values)) for name, values in found.items() if len(values) == len(runs)}
+            for recomputed in explain(family, "0", views, fast=fast_truth(run.folder)):
+                if recomputed.views == ALL_VIEWS:
+                    values_by_name.setdefault(recomputed.name, []).append(recomputed.value)
+        return {name: float(np.mean(values)) for name, values in values_by_name.items() if len(values) == len(runs)}
 
 
 def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
@@ -142,21 +142,21 @@ def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
         the same metric; otherwise the cell is not reproduced.
     """
     checked = [_against_protocol(cell, runs) for cell in cells]
-    open_cells = [at for at, one in enumerate(checked) if one.verdict in ("undecided", "not reproduced")]
+    open_cells = [at for at, cell in enumerate(checked) if cell.verdict in ("undecided", "not reproduced")]
     candidates = {at: _matching(cells[at], runs) for at in track(open_cells, "trying other conventions on cells")}
     for at, (matches, share) in candidates.items():
         elsewhere = {
             name for i, (names, _) in candidates.items() if i != at and cells[i].metric == cells[at].metric for name in names
         }
         names = matches if share <= WEAK_CHANCE else [name for name in matches if name in elsewhere]
-        one = checked[at]
+        cell = checked[at]
         if names:
             words = names[0] if len(names) == 1 else f"{names[0]}, or {len(names) - 1} more"
-            checked[at] = replace(one, verdict="other convention", reason=words, by_chance=share)
+            checked[at] = replace(cell, verdict="other convention", reason=words, by_chance=share)
         else:
             by_accident = f"; only a chance match: {matches[0]}" if matches else ""
-            checked[at] = replace(one, reason=f"{one.reason}{by_accident}", by_chance=share)
-    return [_with_neighbour(one, checked, runs) for one in checked]
+            checked[at] = replace(cell, reason=f"{cell.reason}{by_accident}", by_chance=share)
+    return [_with_neighbour(cell, checked, runs) for cell in checked]
 
 
 def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
@@ -168,11 +168,11 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
     if len(hashes) != 1:
         reason = "a mean over runs of several protocols" if hashes else f"no run of the scene {cell.scene!r}"
         return CheckedCell(cell, "not checked", label, reason=reason)
-    own = runs.value(cell.metric, label, cell.scene)
+    mean = runs.value(cell.metric, label, cell.scene)
     number = printed(cell.text)[0]
-    if not own or own.value is None:
+    if not mean or mean.value is None:
         return _without_own(cell, label, number, runs.conventions(cell.metric, label, cell.scene))
-    value, under = own.value, ""
+    value, under = mean.value, ""
     if not runs.of_scene(cell.scene)[0].protocol.measurement.lpips_net.startswith(cell.network):
         values = runs.conventions(cell.metric, label, cell.scene)
         under = next((name for name in values if name.lower().startswith(cell.network)), "")
@@ -183,8 +183,8 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
         verdict: Verdict = "other convention" if under else "reproduced"
         return CheckedCell(cell, verdict, label, value, under, chance(cell.text, [value]))
     off = f"off by {number - value:+.3g}{under and f' under {under}'}"
-    if not under and own.low is not None and own.high is not None and own.low <= number <= own.high:
-        return CheckedCell(cell, "undecided", label, value, f"{off}, within the interval {own.low:.4g} to {own.high:.4g}")
+    if not under and mean.low is not None and mean.high is not None and mean.low <= number <= mean.high:
+        return CheckedCell(cell, "undecided", label, value, f"{off}, within the interval {mean.low:.4g} to {mean.high:.4g}")
     return CheckedCell(cell, "not reproduced", label, value, off)
 
 
@@ -210,22 +210,22 @@ def _matching(cell: QuotedCell, runs: Runs) -> tuple[list[str], float]:
     return names, chance(cell.text, [value for value in values.values() if math.isfinite(value)])
 
 
-def _with_neighbour(one: CheckedCell, checked: Sequence[CheckedCell], runs: Runs) -> CheckedCell:
+def _with_neighbour(result: CheckedCell, checked: Sequence[CheckedCell], runs: Runs) -> CheckedCell:
     """Add the next worse method of the column if the clip does not distinguish the two."""
-    cell, better = one.quoted, METRICS[one.quoted.metric].higher_is_better
-    if one.measured is None or better is None:
-        return one
+    cell, better = result.quoted, METRICS[result.quoted.metric].higher_is_better
+    if result.measured is None or better is None:
+        return result
 
     def standing(row: CheckedCell) -> float:
         return printed(row.quoted.text)[0] * (1 if better else -1)
 
-    rivals = [row for row in checked if row.quoted.heads == cell.heads and row.measured is not None and row.label != one.label]
-    worse = [row for row in rivals if standing(row) <= standing(one)]
+    rivals = [row for row in checked if row.quoted.heads == cell.heads and row.measured is not None and row.label != result.label]
+    worse = [row for row in rivals if standing(row) <= standing(result)]
     if not worse:
-        return one
+        return result
     nearest = max(worse, key=standing)
-    outcome = runs.outcome(cell.metric, cell.scene, one.label, nearest.label)
-    return replace(one, neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "")
+    outcome = runs.outcome(cell.metric, cell.scene, result.label, nearest.label)
+    return replace(result, neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "")
 
 
 def expected_by_chance(checked: Sequence[CheckedCell]) -> tuple[float, float]:
@@ -240,9 +240,9 @@ def expected_by_chance(checked: Sequence[CheckedCell]) -> tuple[float, float]:
         >>> expected_by_chance([CheckedCell(cell, "reproduced", by_chance=0.5), CheckedCell(cell, "reproduced", by_chance=0.5)])
         (1.0, 0.25)
     """
-    tried = [one for one in checked if one.verdict != "not checked"]
-    chances = [min(one.by_chance, 1.0) for one in tried]
-    count = sum(one.verdict in ("reproduced", "other convention") for one in tried)
+    tried = [cell for cell in checked if cell.verdict != "not checked"]
+    chances = [min(cell.by_chance, 1.0) for cell in tried]
+    count = sum(cell.verdict in ("reproduced", "other convention") for cell in tried)
     distribution = np.array([1.0])
     for share in chances:
         distribution = np.convolve(distribution, [1.0 - share, share])

@@ -80,13 +80,13 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None =
     if "" in named:
         raise ResultsError(f"--rows: wanted NAME=METHOD, got {' '.join(rows)}; write the name as in the table")
     quoted = read_quoted(table, metric or "")
-    measured = [run for group in runs_by_protocol(runs, read_scores) for run in group]
-    checked = check_cells(quoted.cells, Runs(measured, named))
+    scored_runs = [run for group in runs_by_protocol(runs, read_scores) for run in group]
+    checked = check_cells(quoted.cells, Runs(scored_runs, named))
     for head, why in quoted.left_out.items():
         print(f"column {head}: {why}, not checked", file=sys.stderr)
     print(check_text(checked))
     if out is not None:
-        write_check(out, table, checked, measured)
+        write_check(out, table, checked, scored_runs)
         print(out / "index.html")
-    if any(one.verdict == "not reproduced" for one in checked) or all(one.verdict == "not checked" for one in checked):
+    if any(cell.verdict == "not reproduced" for cell in checked) or all(cell.verdict == "not checked" for cell in checked):
         sys.exit(1)

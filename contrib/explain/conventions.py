@@ -97,13 +97,13 @@ def conventions(
     series: Series,
     poolings: Iterable[Pooling] = (MEAN,),
     divisors: Mapping[str, float] = UNSCALED,
-    ours: str = "",
+    own_name: str = "",
 ) -> list[Recomputed]:
     """Pool each series in each way, and write the result on each scale.
 
     Args:
         divisors: name of a scale -> what values are divided by.
-        ours: full name of this tool's convention.
+        own_name: full name of this tool's convention.
     """
     rows = []
     for name, by_view in series.items():
@@ -116,7 +116,7 @@ def conventions(
             for scale, divisor in divisors.items():
                 title = ", ".join(filter(None, (name, pooling.name, scale)))
                 values = {over: float(value / divisor) for over, value in pooled.items()}
-                rows.append(Recomputed(title, values, title == ours))
+                rows.append(Recomputed(title, values, title == own_name))
     return rows
 
 
@@ -130,14 +130,14 @@ def conventions_in_parts(
 ) -> list[Recomputed]:
     """Means over parts of the frames, see `PARTS`; of equal ones in a short clip the first."""
     lengths = [len(values) for by_view in series.values() for values in by_view.values()]
-    rows, seen = [], [[range(length) for length in lengths]]
+    rows, parts_tried = [], [[range(length) for length in lengths]]
     for title, part in PARTS.items():
         frames = [range(length)[part] for length in lengths]
-        if all(frames) and frames not in seen:
-            seen.append(frames)
+        if all(frames) and frames not in parts_tried:
+            parts_tried.append(frames)
             rows += conventions(series, [_mean_of_part(title, part)], divisors)
     for title, part in _rare_parts(min(lengths, default=0)):
-        if [range(length)[part] for length in lengths] not in seen:
+        if [range(length)[part] for length in lengths] not in parts_tried:
             of_part = conventions(series, [_mean_of_part(title, part)], divisors)
             rows += [replace(row, is_rare=True) for row in of_part]
     return rows
@@ -155,7 +155,7 @@ def _rare_parts(length: int) -> Iterator[tuple[str, slice]]:
 def frame_means(
     views: Views,
     measures: Mapping[str, FrameMeasure],
-    ours: str,
+    own_name: str,
     in_parts: Iterable[str] | None = None,
     divisors: Mapping[str, float] = UNSCALED,
 ) -> list[Recomputed]:
@@ -165,9 +165,9 @@ def frame_means(
         in_parts: measures that are taken of parts of the clip too; this tool's own by default.
     """
     series = measured(views, measures)
-    parts = {name: series[name] for name in in_parts or [ours] if name in series}
-    full_name = ", ".join(filter(None, (ours, next(iter(divisors)))))
-    rows = conventions(series, divisors=divisors, ours=full_name)
+    parts = {name: series[name] for name in in_parts or [own_name] if name in series}
+    full_name = ", ".join(filter(None, (own_name, next(iter(divisors)))))
+    rows = conventions(series, divisors=divisors, own_name=full_name)
     return rows + conventions_in_parts(parts, divisors)
 
 

@@ -113,14 +113,14 @@ def _of_fast_truth(family: str, views: Views, fast: Mapping[str, FrameReader]) -
     """Measure this tool's own metric of that name against the truth as OpenCV and imageio decode it."""
     if not views.keys() <= fast.keys():
         return []
-    own = next((name for name, metric in METRICS.items() if name.lower() == family and metric.kind != "rig"), None)
-    if own is None:
+    metric_name = next((name for name, metric in METRICS.items() if name.lower() == family and metric.kind != "rig"), None)
+    if metric_name is None:
         return []
     by_view = {}
     for name, view in views.items():
         pairs = (([view.rendered(index)], fast[name](index)) for index in view.frames)
-        (scores,) = score_views(pairs, [own])
-        by_view[name] = np.array([value for metric, _, value in scores.values if metric == own])
+        (scores,) = score_views(pairs, [metric_name])
+        by_view[name] = np.array([value for metric, _, value in scores.values if metric == metric_name])
     if any(len(values) == 0 for values in by_view.values()):  # which the views are too few or too small for
         return []
     return conventions({FAST_TRUTH: by_view})
@@ -220,9 +220,9 @@ def explanation_table(
     """Write the result as text: a sentence, the matches, and of the others over all views the nearest and ours, or all."""
     everywhere = [row for row in conventions if row.views == ALL_VIEWS]
     matching = [row for row in conventions if row.matches]
-    others = [row for row in everywhere if not row.matches]
-    others.sort(key=lambda row: abs(row.value - printed(quoted)[0]))
-    nearest = [row for at, row in enumerate(others) if at < NEAREST or row.is_ours or shows_all]
+    misses = [row for row in everywhere if not row.matches]
+    misses.sort(key=lambda row: abs(row.value - printed(quoted)[0]))
+    nearest = [row for at, row in enumerate(misses) if at < NEAREST or row.is_ours or shows_all]
     # Those over all views before those over one, and of these ours.
     matching.sort(key=lambda row: (row.views != ALL_VIEWS, not row.is_ours))
     rows = []
@@ -230,7 +230,7 @@ def explanation_table(
         sign, whose = "=" if row.matches else "", "this tool" if row.is_ours else ""
         rows.append((sign, whose, f"{row.value:.6g}", row.views, _with_users(row)))
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
-    left = f"\n\n{len(everywhere)} conventions tried; --all shows them" if len(nearest) < len(others) else ""
+    left = f"\n\n{len(everywhere)} conventions tried; --all shows them" if len(nearest) < len(misses) else ""
     return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}{left}"
 
 
@@ -268,8 +268,8 @@ def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: f
 
 
 def _share_text(share: float) -> str:
-    shown = f"{100 * share:.0f} %" if share >= 0.01 else "less than 1 %"
-    return f"{shown} of the numbers within {100 * NEIGHBOURHOOD:.0f} % of it would match one by chance"
+    percent = f"{100 * share:.0f} %" if share >= 0.01 else "less than 1 %"
+    return f"{percent} of the numbers within {100 * NEIGHBOURHOOD:.0f} % of it would match one by chance"
 
 
 def _full_name(convention: Convention) -> str:

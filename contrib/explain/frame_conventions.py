@@ -142,7 +142,7 @@ def psnr_conventions(views: Views, masks: Masks) -> list[Recomputed]:
     errors = {name: series[name] for name in ERRORS}
     of_frames = {view: decibels(values) for view, values in errors["RGB"].items()}
     return [
-        *conventions(errors, PSNR_POOLINGS, ours=OUR_PSNR),
+        *conventions(errors, PSNR_POOLINGS, own_name=OUR_PSNR),
         *conventions(_masked_errors(views, masks), PSNR_POOLINGS),
         *conventions({name: series[name] for name in DECIBELS}),
         *conventions({OUR_PSNR: of_frames}, divisors={"10 log10 of peak over RMSE (half of it)": 2, "twice": 0.5}),

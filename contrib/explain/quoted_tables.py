@@ -183,17 +183,17 @@ def _markdown_grids(text: str) -> Iterator[Grid]:
     for block in re.split(r"\n\s*\n", text):
         rows = [line.strip().strip("|").split("|") for line in block.splitlines() if line.lstrip().startswith("|")]
         plain = [[re.sub(r"[*`]|<[^>]*>", "", cell).strip() for cell in row] for row in rows]
-        if kept := [row for row in plain if not all(re.fullmatch(r":?-+:?", cell) for cell in row)]:
-            yield kept
+        if grid := [row for row in plain if not all(re.fullmatch(r":?-+:?", cell) for cell in row)]:
+            yield grid
 
 
 def _tex_grids(text: str) -> Iterator[Grid]:
     plain = re.sub(r"(?<!\\)%.*", "", text)
-    for found in TABULAR.finditer(plain):
-        body = RULES.sub(" ", re.sub(r"^\s*(?:\[[^\]]*\])?(?:\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\})+", "", found[2]))
+    for match in TABULAR.finditer(plain):
+        body = RULES.sub(" ", re.sub(r"^\s*(?:\[[^\]]*\])?(?:\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\})+", "", match[2]))
         rows = [re.split(r"(?<!\\)&", row) for row in re.split(r"\\\\(?:\[[^\]]*\])?|\\tabularnewline", body)]
-        if kept := [row for row in ([cell for part in row for cell in _tex_cells(part)] for row in rows) if any(row)]:
-            yield kept
+        if grid := [row for row in ([cell for part in row for cell in _tex_cells(part)] for row in rows) if any(row)]:
+            yield grid
 
 
 def _tex_cells(text: str) -> list[str]:
@@ -272,6 +272,6 @@ def _on_own_scale(cell: str, head: str) -> str:
         ('0.936', '0.936', '0.936')
     """
     text, words = NUMBER.findall(cell)[0].replace(",", "."), f"{head} {cell}"
-    found = SCALE.search(words)
-    power = int(found["power"] or len(found["zeros"])) if found else 2 * ("%" in words)
+    match = SCALE.search(words)
+    power = int(match["power"] or len(match["zeros"])) if match else 2 * ("%" in words)
     return f"{Decimal(text).scaleb(-power):f}" if power else text

@@ -20,7 +20,7 @@ HEADS = ("method", "scene", "metric", "quoted", "verdict", "method_of_run", "mea
 
 def summary(checked: Sequence[CheckedCell]) -> str:
     """Return the counts of all verdicts in one sentence, and how many matches chance would give."""
-    counts = Counter(one.verdict for one in checked)
+    counts = Counter(cell.verdict for cell in checked)
     expected, tail = expected_by_chance(checked)
     named = ", ".join(f"{counts[name]} {name}" for name in VERDICTS if counts[name])
     tested = len(checked) - counts["not checked"]
@@ -31,11 +31,11 @@ def summary(checked: Sequence[CheckedCell]) -> str:
 
 def check_text(checked: Sequence[CheckedCell]) -> str:
     """Return the summary, and one line per cell that is not simply reproduced or not distinguished from its neighbour."""
-    shown = [one for one in checked if one.verdict != "reproduced" or one.neighbour]
+    notable = [row for row in checked if row.verdict != "reproduced" or row.neighbour]
     rows = []
-    for one in shown:
-        cell, why = one.quoted, "; ".join(filter(None, (one.reason, one.neighbour)))
-        rows.append((f"{cell.method} {cell.scene}".strip(), cell.metric, cell.text, _measured(one), one.verdict, why))
+    for row in notable:
+        cell, why = row.quoted, "; ".join(filter(None, (row.reason, row.neighbour)))
+        rows.append((f"{cell.method} {cell.scene}".strip(), cell.metric, cell.text, _measured(row), row.verdict, why))
     heads = {"row": 1, "metric": 0, "quoted": 0, "measured": 0, "verdict": 0, "why": 2}
     return summary(checked) + (f"\n\n{text_table(heads, rows)}" if rows else "")
 
@@ -45,10 +45,10 @@ def check_csv(checked: Sequence[CheckedCell]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADS)
-    for one in checked:
-        cell = one.quoted
-        found = (one.verdict, one.label, "" if one.measured is None else f"{one.measured:.8g}", one.reason)
-        writer.writerow((cell.method, cell.scene, cell.metric, cell.text, *found, f"{one.by_chance:.3g}", one.neighbour))
+    for row in checked:
+        cell = row.quoted
+        result = (row.verdict, row.label, "" if row.measured is None else f"{row.measured:.8g}", row.reason)
+        writer.writerow((cell.method, cell.scene, cell.metric, cell.text, *result, f"{row.by_chance:.3g}", row.neighbour))
     return text.getvalue()
 
 
@@ -58,26 +58,26 @@ def write_check(folder: Path, file: Path, checked: Sequence[CheckedCell], runs: 
     Args:
         file: the published table, named on the page.
     """
-    made = open_templates(TEMPLATES)
-    counts = Counter(one.verdict for one in checked)
+    templates = open_templates(TEMPLATES)
+    counts = Counter(cell.verdict for cell in checked)
     tested = len(checked) - counts["not checked"]
     matched = sum(counts[name] for name in MATCHED)
     badge = {"matched": matched, "tested": tested, "is_whole": matched == tested, "is_bad": bool(counts["not reproduced"])}
-    places = {(one.quoted.row, one.quoted.heads): one for one in checked}
-    columns = {one.quoted.heads: " ".join(filter(None, (one.quoted.scene, one.quoted.metric))) for one in checked}
-    rows = {one.quoted.row: one.quoted.method for one in checked}
-    page = made.get_template("table_check.html.j2").render(
+    places = {(cell.quoted.row, cell.quoted.heads): cell for cell in checked}
+    columns = {cell.quoted.heads: " ".join(filter(None, (cell.quoted.scene, cell.quoted.metric))) for cell in checked}
+    rows = {cell.quoted.row: cell.quoted.method for cell in checked}
+    page = templates.get_template("table_check.html.j2").render(
         name=file.name, summary=summary(checked), verdicts=VERDICTS, counts=counts, columns=columns, rows=rows, places=places,
         checked=checked, measured=_measured, runs=[(run.title, run.protocol.name, run.protocol.sha256[:12]) for run in runs],
     )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "table_check.csv", check_csv(checked))
-    write_text(folder / "badge.svg", made.get_template("badge.svg.j2").render(**badge))
+    write_text(folder / "badge.svg", templates.get_template("badge.svg.j2").render(**badge))
     write_text(folder / "index.html", page)
 
 
-def _measured(one: CheckedCell) -> str:
+def _measured(cell: CheckedCell) -> str:
     """The measured value with one digit more than the quoted one."""
-    if one.measured is None:
+    if cell.measured is None:
         return ""
-    return f"{one.measured:.{len(one.quoted.text.partition('.')[2]) + 1}f}"
+    return f"{cell.measured:.{len(cell.quoted.text.partition('.')[2]) + 1}f}"

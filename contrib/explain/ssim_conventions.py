@@ -70,8 +70,8 @@ L1_LEVELS = {"L1 in 0..255": 1, "L1 in 0..1": 255}
 STRIP_ROWS = 32  # so that the planes in between stay in cache
 
 
-def ssim_conventions(views: Views, masks: Masks, ours: tuple[str, ...] = (OUR_SSIM,)) -> list[Recomputed]:
-    """SSIM as scikit-image, kornia and the code bases of this field compute it; `ours` are those by this tool."""
+def ssim_conventions(views: Views, masks: Masks, own_names: tuple[str, ...] = (OUR_SSIM,)) -> list[Recomputed]:
+    """SSIM as scikit-image, kornia and the code bases of this field compute it; `own_names` are those by this tool."""
     shortest_px = min(min(view.truth(view.frames[0]).shape[:2]) for view in views.values())
     is_boxed = _box_side(shortest_px) > 1
     measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
@@ -86,12 +86,12 @@ def ssim_conventions(views: Views, masks: Masks, ours: tuple[str, ...] = (OUR_SS
     rows = frame_means(views, measures, OUR_SSIM, (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1))
     rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain]
     rows += masked_rows(views, masks, masked)
-    return [Recomputed(row.name, row.values, row.name in ours) for row in rows]
+    return [Recomputed(row.name, row.values, row.name in own_names) for row in rows]
 
 
 DSSIM = "DSSIM = (1 - SSIM) / 2"
-dssim_conventions = partial(ssim_conventions, ours=(f"{DSSIM}, {UNIFORM_RANGE_1}", f"{DSSIM}, {UNIFORM_RANGE_2}"))
-ms_ssim_conventions = partial(ssim_conventions, ours=(MULTI_SCALE,))
+dssim_conventions = partial(ssim_conventions, own_names=(f"{DSSIM}, {UNIFORM_RANGE_1}", f"{DSSIM}, {UNIFORM_RANGE_2}"))
+ms_ssim_conventions = partial(ssim_conventions, own_names=(MULTI_SCALE,))
 BOXED = "after box averages"
 # Name -> options of `similarity`.
 WINDOWS: Mapping[str, Mapping[str, Any]] = {
@@ -146,8 +146,8 @@ def frame_measures() -> dict[str, FrameMeasure]:
     }
     measures |= crossed(sized, PREPARATIONS)
     for side in (3, 5, 7, 9, 11):
-        for (border, of), code in BORDERS.items():
-            name = f"Gaussian {side} x {side}, {border}, range 1{of}"
+        for (border, of_range), code in BORDERS.items():
+            name = f"Gaussian {side} x {side}, {border}, range 1{of_range}"
             if name not in (OUR_SSIM, ZERO_PADDED.removesuffix(" (3DGS)")):
                 measures[name] = partial(similarity, **{**GAUSSIAN, "side": side, "border": code})
     for form, planes in {
@@ -262,7 +262,7 @@ def _block_similarity(planes: Callable[[Image8], list[Levels]], rendered: Image8
     scores, sizes = [], []
     for x, y in zip(planes(rendered), planes(truth), strict=True):
         x, y = (np.asarray(plane, dtype=np.int64) for plane in (x, y))
-        sum_x, sum_y, squares, products = (_block_sums(each) for each in (x, y, x * x + y * y, x * y))
+        sum_x, sum_y, squares, products = (_block_sums(plane) for plane in (x, y, x * x + y * y, x * y))
         variance, covariance = squares * 64 - sum_x**2 - sum_y**2, products * 64 - sum_x * sum_y
         above = (2 * sum_x * sum_y + small).astype(np.float64) * (2 * covariance + large)
         scores.append(float((above / ((sum_x**2 + sum_y**2 + small).astype(np.float64) * (variance + large))).mean()))
@@ -302,7 +302,7 @@ def tcc_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """SSIM of absolute changes, with several SSIMs and several changes."""
     require_changes(views, "TCC compares neighbouring frames")
     series = series_of({name: _change_scores(view) for name, view in views.items()})
-    return conventions(series, ours=OUR_TCC)
+    return conventions(series, own_name=OUR_TCC)
 
 
 def _change_scores(view: ViewFrames) -> Iterator[dict[str, float]]:
@@ -340,8 +340,8 @@ def sdt_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         if _is_table(views):
             mean = partial(np.mean, axis=0)
             poolings.append(_of_all(f"spread over time of the mean over the views, {divisor}", mean, spread))
-    ours = "mean over the views of each one's spread over time, ddof 1, L1 in 0..255"
-    return conventions(errors, poolings, L1_LEVELS, ours)
+    own_name = "mean over the views of each one's spread over time, ddof 1, L1 in 0..255"
+    return conventions(errors, poolings, L1_LEVELS, own_name)
 
 
 def sdv_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
@@ -380,7 +380,7 @@ def sted_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """ST-RRED of each view under each choice, mean over the views."""
     require_changes(views, "STED compares changes between frames")
     series = series_of({name: [_view_values(view)] for name, view in views.items()})
-    return conventions(series, ours=OUR_STED)
+    return conventions(series, own_name=OUR_STED)
 
 
 def _view_values(view: ViewFrames) -> dict[str, float]:

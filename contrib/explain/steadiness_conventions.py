@@ -45,7 +45,7 @@ def mtv_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """Return the change of the renderings from frame to frame in several masks and on several scales."""
     require_changes(views, "mTV is a change between frames")
     series = series_of({name: _variations(view) for name, view in views.items()})
-    return conventions(series, MTV_SCALES, ours=f"{OURS}, x 100")
+    return conventions(series, MTV_SCALES, own_name=f"{OURS}, x 100")
 
 
 def _variations(view: ViewFrames) -> Iterator[dict[str, float | None]]:

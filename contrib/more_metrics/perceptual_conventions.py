@@ -121,7 +121,7 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
                     raise
                 continue  # an older libvmaf, or frames too small for it
             series[f"{model}, {matrix.replace('bt', 'BT.')}"] = values
-    return conventions(series, averages, ours=OUR_VMAF)
+    return conventions(series, averages, own_name=OUR_VMAF)
 
 
 def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
@@ -135,4 +135,4 @@ def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
             view: np.array([colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate)])
             for view, frames in views.items()
         }
-    return conventions(series, ours=OUR_VDP)
+    return conventions(series, own_name=OUR_VDP)

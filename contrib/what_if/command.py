@@ -38,9 +38,9 @@ def what_if(
     with source.open(renders) as (folder, labels):
         measurement = folder.protocol().measurement
         for label in labels:
-            found = undo_and_score(views_of_run(folder, label), cameras_of_run(folder), measurement, metrics)
-            records[label] = found.record()
-            print(what_if_text(label, found))
+            outcome = undo_and_score(views_of_run(folder, label), cameras_of_run(folder), measurement, metrics)
+            records[label] = outcome.record()
+            print(what_if_text(label, outcome))
         keep_for_page(folder, {label: bool(record["rows"]) for label, record in records.items()})
     if out is not None:
         write_json(out, records)

@@ -19,9 +19,9 @@ MOST_FRAMES = 24
 METRIC = "PSNR"
 
 
-def keep_for_page(run: RunFolder, found: Mapping[str, bool]) -> None:
+def keep_for_page(run: RunFolder, is_undoable: Mapping[str, bool]) -> None:
     """Remember in which methods of a run faults were found that can be undone, and in which none."""
-    write_json(run.root / FOUND_FILE, sorted((_kept(run) - {*found}) | {*filter(found.get, found)}))
+    write_json(run.root / FOUND_FILE, sorted((_kept(run) - {*is_undoable}) | {*filter(is_undoable.get, is_undoable)}))
 
 
 def _kept(run: RunFolder) -> set[str]:
@@ -44,21 +44,21 @@ def undo_faults(run: MeasuredRun) -> dict[str, UndoneRenders]:
 def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
     views = views_of_run(run, label)
     sampled = {
-        name: replace(one, frames=middle_of(one.frames, MOST_FRAMES), truth_frames=one.frames) for name, one in views.items()
+        name: replace(view, frames=middle_of(view.frames, MOST_FRAMES), truth_frames=view.frames) for name, view in views.items()
     }
     try:
-        found = what_if(sampled, cameras_of_run(run), run.protocol().measurement, (METRIC,))
+        outcome = what_if(sampled, cameras_of_run(run), run.protocol().measurement, (METRIC,))
     except RenderError:
         return None  # frames that nothing can be estimated on or scored on; the fault itself is reported elsewhere
-    if not found.rows or METRIC in found.not_computed:
+    if not outcome.rows or METRIC in outcome.not_computed:
         return None
-    undos = found.best.undos
+    undos = outcome.best.undos
     words = ", ".join(undo.words() for undo in undos)
     treated = {name: apply(undos, name, view) for name, view in views.items()}
 
     def read(view: str, frame: int) -> Image8 | None:
         return treated[view].rendered(frame) if frame in treated[view].frames else None
 
-    scores = "; ".join(f"{row.words} {cell_text(METRIC, row.scores[METRIC])} dB" for row in (found.rows[0], found.best))
-    where = f"estimated on frames {as_ranges(list(found.estimated_on))}, scored on {as_ranges(list(found.scored_on))}"
+    scores = "; ".join(f"{row.words} {cell_text(METRIC, row.scores[METRIC])} dB" for row in (outcome.rows[0], outcome.best))
+    where = f"estimated on frames {as_ranges(list(outcome.estimated_on))}, scored on {as_ranges(list(outcome.scored_on))}"
     return UndoneRenders(words, f"{METRIC} {scores}; not ranked, {where}", read)

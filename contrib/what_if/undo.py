@@ -84,19 +84,19 @@ def list_undos(findings: Sequence[Finding], views: Mapping[str, ViewFrames]) -> 
     astray = {finding.subject for finding in findings if finding.question == "wrong camera"}
     blank = {finding.subject for finding in findings if finding.question == "blank frames"}
     by_fault: dict[str, dict[str, Way]] = {fault: {} for fault in _FAULTS}
-    rest: list[Finding] = []
+    remaining: list[Finding] = []
     for finding in findings:
         is_unsure = finding.question == "reversed time" and finding.subject in blank
         if finding.question in by_fault and finding.subject not in astray and not is_unsure:
             by_fault[finding.question][finding.subject] = _way(finding, views[finding.subject])
         else:
-            rest.append(finding)
+            remaining.append(finding)
     undos = []
     for fault, ways in by_fault.items():
         if ways:
             verdict = worst([finding for finding in findings if finding.question == fault])
             undos.append(Undo(fault, verdict, ways, len(views)))
-    return undos, rest
+    return undos, remaining
 
 
 def apply(undos: Sequence[Undo], name: str, view: ViewFrames) -> ViewFrames:

@@ -153,8 +153,8 @@ def what_if(
         scores = {metric: _within(value, [row[metric] for row in moved]) for metric, value in of_row.items()}
         words = f"{treatment[0].words()} ({treatment[0].verdict})" if len(treatment) == 1 else ALL if treatment else HONEST
         rows.append(Row(words, treatment, scores))
-    found = WhatIf(tuple(rows), tuple(middle), tuple(shared), len(views), border_px, tuple(stays), not_computed)
-    return replace(found, rows=found.rows[:-1]) if len(undos) > 1 and found.best is not rows[-1] else found
+    outcome = WhatIf(tuple(rows), tuple(middle), tuple(shared), len(views), border_px, tuple(stays), not_computed)
+    return replace(outcome, rows=outcome.rows[:-1]) if len(undos) > 1 and outcome.best is not rows[-1] else outcome
 
 
 def _treat(views: Mapping[str, ViewFrames], undos: Sequence[Undo]) -> Film:
@@ -218,47 +218,50 @@ def _score(
 def _frame_metrics(names: Sequence[str]) -> tuple[str, ...]:
     """Refuse metrics of whole views, of a part of the picture and of corrected colours."""
     selected = select_metrics(names)
-    other = [
-        one.name
-        for one in selected
+    unfit = [
+        metric.name
+        for metric in selected
         if not (
-            isinstance(one, ViewMetric) and one.kind == "frame" and not one.corrects_colours and one.pooling is ViewMetric.pooling
+            isinstance(metric, ViewMetric)
+            and metric.kind == "frame"
+            and not metric.corrects_colours
+            and metric.pooling is ViewMetric.pooling
         )
-        or one.name.rpartition("_")[2] in built_in.REGIONS
+        or metric.name.rpartition("_")[2] in built_in.REGIONS
     ]
-    if other:
+    if unfit:
         raise MetricError(
-            f"--metrics: wanted metrics of single frames, e.g. PSNR SSIM LPIPS, got {', '.join(other)}; leave it out"
+            f"--metrics: wanted metrics of single frames, e.g. PSNR SSIM LPIPS, got {', '.join(unfit)}; leave it out"
         )
-    return tuple(one.name for one in selected)
+    return tuple(metric.name for metric in selected)
 
 
 def _cut(image: Any, border_px: int, measurement: Measurement) -> Any:
     """A frame as it is measured, without the border."""
     height = image.shape[0]
-    measured = measured_frame(image, measurement)
-    border = ceil(border_px * max(measured.shape[0] / height, 1 / height))
-    rows, columns = measured.shape[:2]
+    scaled = measured_frame(image, measurement)
+    border = ceil(border_px * max(scaled.shape[0] / height, 1 / height))
+    rows, columns = scaled.shape[:2]
     if min(rows, columns) - 2 * border < 16:
         raise RenderError(f"frames of {columns} x {rows} px leave nothing within a border of {border} px; the shift is too large")
-    return measured[border : rows - border, border : columns - border]
+    return scaled[border : rows - border, border : columns - border]
 
 
-def what_if_text(label: str, found: WhatIf) -> str:
+def what_if_text(label: str, outcome: WhatIf) -> str:
     """Write the rows as a table, and what they stand on."""
-    where = f"frames {as_ranges(list(found.estimated_on))}"
-    stays = "".join(f"; {one.question} of {one.subject} stays ({one.verdict})" for one in found.stays)
-    if not found.rows:
-        return f"{label}: nothing to undo in {where} of {found.views} views; {found.loss or stays[2:]}"
-    metrics = list(found.rows[0].scores)
-    lines = [[row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)] for row in found.rows]
+    where = f"frames {as_ranges(list(outcome.estimated_on))}"
+    stays = "".join(f"; {finding.question} of {finding.subject} stays ({finding.verdict})" for finding in outcome.stays)
+    if not outcome.rows:
+        return f"{label}: nothing to undo in {where} of {outcome.views} views; {outcome.loss or stays[2:]}"
+    metrics = list(outcome.rows[0].scores)
+    lines = [[row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)] for row in outcome.rows]
     return "\n".join(
         [
-            f"{label}: no result: scores without the fault. Estimated on {where}, scored on {as_ranges(list(found.scored_on))} "
-            f"of {found.views} views, {found.border_px} px cut off at each side{stays}",
+            f"{label}: no result: scores without the fault. Estimated on {where}, scored on {as_ranges(list(outcome.scored_on))} "
+            f"of {outcome.views} views, {outcome.border_px} px cut off at each side{stays}",
             text_table({"frames": 1, **dict.fromkeys(metrics, 0)}, lines),
             "in brackets the 95 % interval of the score without the fault, where it is not exact",
-            *(f"{metric}: {reason}" for metric, reason in found.not_computed.items()),
+            *(f"{metric}: {reason}" for metric, reason in outcome.not_computed.items()),
         ]
     )
 

@@ -101,12 +101,12 @@ def open_capture(
     if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
-    with watch_reads() as used:
+    with watch_reads() as files_read:
         capture = spec.load(path, units)
         corrections = corrections_file(path)
         capture = apply_corrections(capture, read_corrections(corrections), corrections)
-        used |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
-    capture = replace(capture, notes=(*capture.notes, *unused_note(path, used, capture.notes)))
+        files_read |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
+    capture = replace(capture, notes=(*capture.notes, *unused_note(path, files_read, capture.notes)))
     return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 

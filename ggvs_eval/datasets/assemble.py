@@ -111,8 +111,8 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
     slanted = [camera for camera in cameras if camera.deviation]
     if slanted:
         largest = max(camera.deviation for camera in slanted)
-        of = listed([camera.name for camera in slanted])
-        notes.append(f"rotations of {of} are off by up to {largest:.1e}: replaced by the nearest rotations")
+        names_text = listed([camera.name for camera in slanted])
+        notes.append(f"rotations of {names_text} are off by up to {largest:.1e}: replaced by the nearest rotations")
     sentences: dict[str, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
         files = list(source_chain(source))[-1]
@@ -282,8 +282,8 @@ def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
         if trap.leave_out and leave_out:
             capture = capture.without([trap.camera], reason)
         else:
-            of = f"{trap.camera} of {capture.scene}" if trap.camera else capture.scene
-            capture = capture.noted(f"known trap of {trap.dataset}, {of}{', kept' if trap.leave_out else ''}: {reason}")
+            subject = f"{trap.camera} of {capture.scene}" if trap.camera else capture.scene
+            capture = capture.noted(f"known trap of {trap.dataset}, {subject}{', kept' if trap.leave_out else ''}: {reason}")
     return capture
 
 

@@ -97,15 +97,15 @@ def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
 
 def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFile:
     """Read a calibration file, or all those of a folder that `find_calibration_files` gives."""
-    read, files = _find(path, kind)
-    cameras = [camera for file in files for camera in read(file)]
+    reader, files = _find(path, kind)
+    cameras = [camera for file in files for camera in reader(file)]
     check_rig_size(path, len(cameras))
     if len({camera.name for camera in cameras}) < len(cameras) == len({camera.stem for camera in cameras if camera.stem}):
         cameras = [replace(camera, name=camera.stem) for camera in cameras]  # ROS writes one name into every file
     names = [camera.name for camera in cameras]
     if not names:
-        there = listed([file.name for file in files]) or "no file"
-        raise CaptureError(f"{path}: wanted cameras, got {there}, of an unknown form; see docs/your_rig.md for the known forms")
+        content = listed([file.name for file in files]) or "no file"
+        raise CaptureError(f"{path}: wanted cameras, got {content}, of an unknown form; see docs/your_rig.md for the known forms")
     if not all(names) or len(set(names)) < len(names):
         raise CaptureError(
             f"{path}: wanted a calibration with cameras of different names, got {listed(names)}; correct the names"
@@ -172,10 +172,10 @@ def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamer
     """Return the files of `find_calibration_files`, and what reads them."""
     folders = folders_beside(path) if path.is_dir() else []
     names = [name for name in KINDS if kind in (name, None) and (name != "easymocap" or not folders)]  # its folders have poses
-    for each in map(KINDS.__getitem__, names):
+    for kind_of_file in map(KINDS.__getitem__, names):
         for files in [list_entries(folder) for folder in folders] or [[path]]:
-            if fitting := [file for file in files if each.fits(file)]:
-                return each.read, fitting
+            if fitting := [file for file in files if kind_of_file.fits(file)]:
+                return kind_of_file.read, fitting
     return lambda _: [], []
 
 

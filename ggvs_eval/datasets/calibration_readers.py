@@ -211,8 +211,8 @@ def read_opencv(path: Path) -> list[FileCamera]:
     if not file.has("fisheye_model") and not file.has("distortion_model"):
         _check_stereo_coefficients(file, path, keys[1])
     return [
-        _opencv_camera(file, name, keys[0].format(number), keys[1].format(number), each)
-        for number, (name, each) in enumerate(zip(names, poses, strict=True), 1)
+        _opencv_camera(file, name, keys[0].format(number), keys[1].format(number), pose_of_camera)
+        for number, (name, pose_of_camera) in enumerate(zip(names, poses, strict=True), 1)
     ]
 
 
@@ -235,9 +235,9 @@ def _opencv_camera(file: FileStorageYaml, name: str, matrix: str, distortion: st
     size = (round(width), round(height)) if width and height else None
     is_fisheye = file.text("fisheye_model") not in ("", "0", "false") or file.text("distortion_model") in ROS_FISHEYE
     if file.text("distortion_model") not in (*ROS_FISHEYE, *ROS_RADIAL):
-        known = ", ".join((*ROS_RADIAL[1:], *ROS_FISHEYE))
+        models = ", ".join((*ROS_RADIAL[1:], *ROS_FISHEYE))
         raise CaptureError(
-            f"{file.path}: wanted a distortion_model of {known}, got {file.text('distortion_model'):.40}; undistort the frames "
+            f"{file.path}: wanted a distortion_model of {models}, got {file.text('distortion_model'):.40}; undistort the frames "
             "first"
         )
     unknown = unknown_entries(file.path, file.entries, OPENCV_KEYS)

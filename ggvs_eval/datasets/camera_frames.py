@@ -44,7 +44,7 @@ USUAL = (
     ),
     *("images/CAM.png", "CAM.png", "images_2/CAM.png", "images_4/CAM.png", "images_8/CAM.png"),
 )
-IN_WORDS = f"{', '.join(each for each in USUAL if not each.endswith('.png'))} or one image per camera, here or in images/"
+IN_WORDS = f"{', '.join(name for name in USUAL if not name.endswith('.png'))} or one image per camera, here or in images/"
 
 
 class FoundFrames(NamedTuple):
@@ -82,18 +82,18 @@ def find_frames(path: Path, image_names: Mapping[str, str], fewest: int = 2) -> 
     matches, stills = fitting[best]
     cameras = {name: camera for camera, name in matches.names.items() if camera not in stills}
     on_disk = [(cameras[name], frames) for name, frames in best.members if name in cameras]
-    found = _one_each(path, [*stills.items(), *on_disk])
-    absent = [name for name in image_names if name not in found]
+    sources = _one_each(path, [*stills.items(), *on_disk])
+    absent = [name for name in image_names if name not in sources]
     unread = _unread(path, absent) if absent else ""
-    if len(found) < min(fewest, len(image_names)):
+    if len(sources) < min(fewest, len(image_names)):
         remedy = f"but {unread}" if unread else "restore them or remove these cameras from the calibration"
-        place = next(iter(found.values())).path
+        place = next(iter(sources.values())).path
         raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(absent)}, only for {place}; {remedy}")
     beside = [name for name in best.names if name not in {*matches.names.values(), *SETS} and not NO_CAMERA.search(name)]
     pairs = listed(f"{camera} {name}" for camera, name in matches.names.items())
     notes = [f"cameras are matched to {best.pattern} {matches.how}: {pairs}"] if matches.how else []
     notes += [f"{listed(absent)} left out: calibrated, but without frames" + f", {unread}" * bool(unread)] if absent else []
-    return FoundFrames({name: found[name] for name in image_names if name in found}, beside, notes)
+    return FoundFrames({name: sources[name] for name in image_names if name in sources}, beside, notes)
 
 
 def _groups(path: Path) -> list[MediaGroup]:
@@ -119,11 +119,11 @@ def _best(path: Path, groups: Iterable[MediaGroup], worth: Callable[[MediaGroup]
     ordered = sorted(groups, key=worth)
     equal = [group for group in ordered if worth(group) == worth(ordered[-1])]
     if len(equal) > 1:
-        shown = listed(f"{group.pattern} ({len(group.members)})" for group in equal)
+        sets_text = listed(f"{group.pattern} ({len(group.members)})" for group in equal)
         remedy = "give the folder of one to 'ggvs-eval calibrate FOLDER RIG' (known poses: --known-poses FILE)"
         if all(map(_is_recording, equal)):
             remedy = f"these are parts of one recording each, by their first frames: {JOIN.format(equal[0].names[0])}"
-        raise CaptureError(f"{path}: wanted one set of frames of its cameras, got several: {shown}; {remedy}")
+        raise CaptureError(f"{path}: wanted one set of frames of its cameras, got several: {sets_text}; {remedy}")
     return ordered[-1] if ordered else None
 
 
@@ -155,10 +155,10 @@ def _refuse_parts(path: Path, names: Sequence[str]) -> None:
     is_split = any(CHAPTER.fullmatch(videos[0]) for videos in parts)
     if not is_split and (len(parts) < 2 or {len(videos) for videos in recordings.values()} != {2}):
         return
-    shown = "; ".join(" and ".join(videos) for videos in parts)
+    videos_text = "; ".join(" and ".join(videos) for videos in parts)
     remedy = JOIN.format(parts[0][0])
-    what, remedy = ("chapters", remedy) if is_split else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
-    raise CaptureError(f"{path}: wanted one video per camera, got {what} of one recording: {shown}; {remedy}")
+    kind, remedy = ("chapters", remedy) if is_split else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
+    raise CaptureError(f"{path}: wanted one video per camera, got {kind} of one recording: {videos_text}; {remedy}")
 
 
 def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
@@ -170,8 +170,8 @@ def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
         CaptureError: no such folder, no two cameras in it, several groups that are equally good, or several files of one camera.
     """
     if not path.is_dir():
-        there = "a file" if path.exists() else "nothing there"
-        raise CaptureError(f"{path}: wanted a folder with the frames of several cameras, got {there}; check the path")
+        content = "a file" if path.exists() else "nothing there"
+        raise CaptureError(f"{path}: wanted a folder with the frames of several cameras, got {content}; check the path")
     if sources := rig_frames(path):
         return sources
     raise CaptureError(
@@ -199,8 +199,8 @@ def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
     remedy = "call these like the cameras" if names else "give the folder of one of these"
     groups = (group for group in index_media(path).values() if len(group.members) > 1 and not NO_CAMERA.search(group.pattern))
     rigs = islice((group for group in groups if not all(map(str.isdecimal, group.names))), 3)
-    there = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in rigs)
-    return f"none, but there is {there}: {remedy}" if there else f"none; put them in {IN_WORDS}"
+    groups_text = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in rigs)
+    return f"none, but there is {groups_text}: {remedy}" if groups_text else f"none; put them in {IN_WORDS}"
 
 
 def _unread(path: Path, names: Iterable[str]) -> str:
@@ -238,10 +238,10 @@ def backgrounds(folder: Path, names: Iterable[str]) -> dict[str, ImageFrames]:
     return files
 
 
-def _one_each(path: Path, found: list[tuple[str, CameraFrames]]) -> dict[str, CameraFrames]:
-    sources = dict(found)
-    if len(sources) < len(found):
-        names = [name for name, _ in found]
+def _one_each(path: Path, named_frames: list[tuple[str, CameraFrames]]) -> dict[str, CameraFrames]:
+    sources = dict(named_frames)
+    if len(sources) < len(named_frames):
+        names = [name for name, _ in named_frames]
         twice = listed(sorted({name for name in names if names.count(name) > 1}))
         raise CaptureError(
             f"{path}: wanted one file per camera, got several called {twice}; rename the others or move them elsewhere"

@@ -115,11 +115,11 @@ def load(path: Path, units: GivenUnits) -> Capture:
         lens = _lens(file, camera, source.size, PIXEL_CENTRE if table.pixel_centre == "whole" else 0.0, crop)
         rig.append(RigCamera(camera.name, lens, pose, _near_far(file, camera)))
     cameras, sources = pinhole_rig(rig, frames, file, file.parent)
-    extras = [_extras(file, *each) for each in zip(table.camera, [one.lens for one in rig], cameras, sources, strict=True)]
+    extras = [_extras(file, *row) for row in zip(table.camera, [view.lens for view in rig], cameras, sources, strict=True)]
     table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
-    chosen = choose_units(file.parent, units, cameras, of_data_set=table_units)
+    scale = choose_units(file.parent, units, cameras, of_data_set=table_units)
     fps = None if any(isinstance(source, VideoFrames) for source in sources) else table.fps
-    return assemble_capture(file.parent, "capture.toml", cameras, sources, chosen, scene=table.scene, fps=fps, extras=extras)
+    return assemble_capture(file.parent, "capture.toml", cameras, sources, scale, scene=table.scene, fps=fps, extras=extras)
 
 
 def _file(path: Path) -> Path:
@@ -127,10 +127,10 @@ def _file(path: Path) -> Path:
 
 
 def _pose(camera: CameraTable, file: Path) -> Array:
-    given = [matrix for matrix in (camera.world_to_camera, camera.camera_to_world) if matrix is not None]
-    if len(given) != 1:
-        raise CaptureError(f"{file}: camera {camera.name} wants one of world_to_camera and camera_to_world, got {len(given)}")
-    pose = as_matrix(given[0], 4, f"{file}: pose of {camera.name}")
+    matrices = [matrix for matrix in (camera.world_to_camera, camera.camera_to_world) if matrix is not None]
+    if len(matrices) != 1:
+        raise CaptureError(f"{file}: camera {camera.name} wants one of world_to_camera and camera_to_world, got {len(matrices)}")
+    pose = as_matrix(matrices[0], 4, f"{file}: pose of {camera.name}")
     if not np.array_equal(pose[3], (0, 0, 0, 1)):
         last_row = f"{pose[3].tolist()}; transpose it where points are rows"
         raise CaptureError(f"{file}: the last row of the pose of {camera.name} must be 0 0 0 1, got {last_row}")
@@ -141,10 +141,10 @@ def _pose(camera: CameraTable, file: Path) -> Array:
     return np.asarray(np.linalg.inv(pose), dtype=np.float64)
 
 
-def as_matrix(rows: Matrix, size: int, what: str) -> Array:
-    """Return rows of as many numbers as a square array; `what` is named in errors."""
+def as_matrix(rows: Matrix, size: int, subject: str) -> Array:
+    """Return rows of as many numbers as a square array; `subject` is named in errors."""
     if [len(row) for row in rows] != [size] * size:
-        raise CaptureError(f"{what} must be {size} rows of {size} numbers, got rows of {[len(row) for row in rows]}")
+        raise CaptureError(f"{subject} must be {size} rows of {size} numbers, got rows of {[len(row) for row in rows]}")
     return np.array(rows, dtype=np.float64)
 
 
@@ -182,7 +182,7 @@ def _source(file: Path, relative: str) -> SizedSource:
 
 
 def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: SizedSource) -> Extras:
-    sources = [undistorted(_source(file, each), lens, camera.K) if each else None for each in (table.background, table.mask)]
+    sources = [undistorted(_source(file, name), lens, camera.K) if name else None for name in (table.background, table.mask)]
     background, mask = sources
     if mask is not None and mask.n_frames != frames.n_frames:
         counts = f"{mask.n_frames} for {frames.n_frames} frames"

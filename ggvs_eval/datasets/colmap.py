@@ -53,8 +53,8 @@ def load_colmap(path: Path, units: GivenUnits, layout: str = "colmap") -> Captur
     frames = find_frames(path, {name: view.image_name for name, view in views.items()}, fewest=len(views))
     notes = [] if is_multipleview else [*frames.notes]
     notes += [f"{listed(frames.beside)} omitted: on disk, but not registered in the COLMAP model"] if frames.beside else []
-    if not is_multipleview and (others := _models(path)[1:]):
-        sizes = listed([f"{each.relative_to(path)} ({_n_images(each)})" for each in others])
+    if not is_multipleview and (other_models := _models(path)[1:]):
+        sizes = listed([f"{each.relative_to(path)} ({_n_images(each)})" for each in other_models])
         notes.append(f"{folder.relative_to(path)} is taken, the model of most images ({len(views)}); not read: {sizes}")
     if differing := _differing(folder, views):
         of_text = f"{folder.relative_to(path)}: cameras.bin is read; cameras.txt beside it has another calibration of"

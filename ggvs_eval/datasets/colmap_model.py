@@ -99,8 +99,8 @@ def rig_of_views(views: Mapping[str, CalibratedView]) -> list[RigCamera]:
     """
     rig = []
     for name, view in views.items():
-        seen = view.depth_percentiles
-        near_far = (NEAR_MARGIN * seen[0], FAR_MARGIN * seen[2]) if seen else None
+        percentiles = view.depth_percentiles
+        near_far = (NEAR_MARGIN * percentiles[0], FAR_MARGIN * percentiles[2]) if percentiles else None
         rig.append(RigCamera(name, view.lens, view.world_to_camera, near_far))
     return rig
 

@@ -93,27 +93,27 @@ def read_corrections(file: Path) -> dict[str, Correction]:
     if not file.exists():
         return {}
     table = build_table(CorrectionsTable, read_toml(file, CaptureError), str(file), "", CaptureError)
-    for each in table.camera:
-        if len(each.gain) != 3 or not all(0.01 <= value <= 100 for value in each.gain):
-            raise CaptureError(f"{file}: {each.name}: wanted a gain of red, green and blue, got {list(each.gain)}; correct it")
-        if abs(each.offset_frames) > LARGEST_OFFSET:
-            raise CaptureError(f"{file}: {each.name}: wanted an offset in frames, got {each.offset_frames}; correct it")
-    corrections = {each.name: each for each in table.camera}
+    for row in table.camera:
+        if len(row.gain) != 3 or not all(0.01 <= value <= 100 for value in row.gain):
+            raise CaptureError(f"{file}: {row.name}: wanted a gain of red, green and blue, got {list(row.gain)}; correct it")
+        if abs(row.offset_frames) > LARGEST_OFFSET:
+            raise CaptureError(f"{file}: {row.name}: wanted an offset in frames, got {row.offset_frames}; correct it")
+    corrections = {row.name: row for row in table.camera}
     if len(corrections) < len(table.camera):
-        raise CaptureError(f"{file}: wanted each camera once, got {', '.join(each.name for each in table.camera)}; keep one")
+        raise CaptureError(f"{file}: wanted each camera once, got {', '.join(row.name for row in table.camera)}; keep one")
     return corrections
 
 
 def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None:
     """Write corrections so that `read_corrections` reads them back; cameras that need none are left out."""
     lines = [HEAD]
-    for name, each in sorted(corrections.items()):
-        if each == Correction(name):
+    for name, correction in sorted(corrections.items()):
+        if correction == Correction(name):
             continue
         quoted = name.replace("\\", "\\\\").replace('"', '\\"')
         lines += ["[[camera]]", f'name = "{quoted}"']
-        lines += [f"offset_frames = {each.offset_frames}"] if each.offset_frames else []
-        lines += [f"gain = [{', '.join(map(repr, each.gain))}]"] if each.gain != NO_GAIN else []
+        lines += [f"offset_frames = {correction.offset_frames}"] if correction.offset_frames else []
+        lines += [f"gain = [{', '.join(map(repr, correction.gain))}]"] if correction.gain != NO_GAIN else []
         lines.append("")
     with atomic_file(file) as unfinished:
         unfinished.write_text("\n".join(lines), encoding="utf-8")
@@ -134,21 +134,23 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
         return capture
     unknown = [name for name in corrections if name not in capture.camera_names]
     if unknown:
-        there = ", ".join(capture.camera_names)
-        raise CaptureError(f"{file}: wanted cameras of the capture, got {', '.join(unknown)}; there are {there}")
-    chosen = [corrections.get(name, Correction(name)) for name in capture.camera_names]
-    latest = max(each.offset_frames for each in chosen)
-    n_frames = capture.n_frames - latest + min(each.offset_frames for each in chosen)
+        names = ", ".join(capture.camera_names)
+        raise CaptureError(f"{file}: wanted cameras of the capture, got {', '.join(unknown)}; there are {names}")
+    per_camera = [corrections.get(name, Correction(name)) for name in capture.camera_names]
+    latest = max(correction.offset_frames for correction in per_camera)
+    n_frames = capture.n_frames - latest + min(correction.offset_frames for correction in per_camera)
     if n_frames < 1:
         raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
-    instants = [tuple(range(start, start + n_frames)) for start in (latest - correction.offset_frames for correction in chosen)]
+    instants = [
+        tuple(range(start, start + n_frames)) for start in (latest - correction.offset_frames for correction in per_camera)
+    ]
     sources = [
         _corrected(picked(source, frames), correction.gain)
-        for source, frames, correction in zip(capture.sources, instants, chosen, strict=True)
+        for source, frames, correction in zip(capture.sources, instants, per_camera, strict=True)
     ]
     extras = [
         _corrected_extras(picked_extras(extra, frames), correction.gain)
-        for extra, frames, correction in zip(capture.extras, instants, chosen, strict=False)
+        for extra, frames, correction in zip(capture.extras, instants, per_camera, strict=False)
     ]
     note = f"corrected by {file.name}: {describe_corrections(corrections)}"
     return replace(

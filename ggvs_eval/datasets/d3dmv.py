@@ -45,8 +45,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     files = _h5_files(path)
     if len(files) > 1:
-        there = listed(file.name for file in files)
-        raise CaptureError(f"{path}: wanted one scene, got {len(files)} ({there}); name one of these files")
+        names = listed(file.name for file in files)
+        raise CaptureError(f"{path}: wanted one scene, got {len(files)} ({names}); name one of these files")
     return _load_compressed(path, files[0], units) if files else load_dynerf(path, units, "d3dmv")
 
 
@@ -56,8 +56,8 @@ def _load_compressed(path: Path, file: Path, units: GivenUnits) -> Capture:
     none = [None] * len(cameras)
     backgrounds, masks = parts.get("bg_rgb", none), parts.get("fg_rgb", none)
     extras = [Extras(background, mask) for background, mask in zip(backgrounds, masks, strict=True)]
-    chosen = choose_units(file.parent, units, cameras)
-    return assemble_capture(path, "d3dmv", cameras, parts["rgb"], chosen, scene=file.stem, extras=extras)
+    scale = choose_units(file.parent, units, cameras)
+    return assemble_capture(path, "d3dmv", cameras, parts["rgb"], scale, scene=file.stem, extras=extras)
 
 
 def _h5_files(path: Path) -> list[Path]:

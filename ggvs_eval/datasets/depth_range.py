@@ -56,10 +56,10 @@ def given_depth_range(path: Path) -> tuple[float, float] | None:
     file = path / DEPTH_RANGE_FILE
     if not file.exists():
         return None
-    given = build_table(GivenDepthRange, read_toml(file, CaptureError), str(file), "", CaptureError)
-    if not 0 < given.near < given.far:
-        raise CaptureError(f"{file}: wanted 0 < near < far in world units, got {given.near:g} and {given.far:g}; correct it")
-    return given.near, given.far
+    table = build_table(GivenDepthRange, read_toml(file, CaptureError), str(file), "", CaptureError)
+    if not 0 < table.near < table.far:
+        raise CaptureError(f"{file}: wanted 0 < near < far in world units, got {table.near:g} and {table.far:g}; correct it")
+    return table.near, table.far
 
 
 def write_depth_range(path: Path, near: float, far: float) -> None:
@@ -109,8 +109,8 @@ def neighbour_distances(centres: Array) -> Array:
     """
     # A row at a time, as captures can have thousands of poses; the import of a tree would cost more than all of this.
     nearest = np.empty(len(centres))
-    for index, one in enumerate(centres):
-        squared = ((centres - one) ** 2).sum(axis=1)
+    for index, centre in enumerate(centres):
+        squared = ((centres - centre) ** 2).sum(axis=1)
         squared[index] = np.inf
         nearest[index] = np.sqrt(squared.min())
     return nearest
@@ -175,22 +175,22 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
         depth of the triangulated points in its view, rounded outwards to two digits. Of fewer than `FEWEST_POINTS` points the
         guess of `rig_depth_range` stays, for which no camera is refused.
     """
-    if given := given_depth_range(capture.path if capture.path.is_dir() else capture.path.parent):
-        ranges = {camera.name: given for camera in capture.cameras}
-        return _ranged(capture, ranges, "given", [], f"depth range {_shown([given])}, by {DEPTH_RANGE_FILE}")
+    if near_far := given_depth_range(capture.path if capture.path.is_dir() else capture.path.parent):
+        ranges = {camera.name: near_far for camera in capture.cameras}
+        return _ranged(capture, ranges, "given", [], f"depth range {_shown([near_far])}, by {DEPTH_RANGE_FILE}")
     guessed = [camera for camera in capture.cameras if camera.range_origin == "guessed"]
     if not guessed:
         return capture
     points = matched_points(capture) if measure else np.empty((0, 3))
-    measured, medians = {}, []
+    matched, medians = {}, []
     for camera in guessed:
-        seen = points_depth_range(points, camera.world_to_camera, camera.K, camera.size, FEWEST_POINTS)
-        if seen is not None:
-            measured[camera.name] = _rounded(NEAR_MARGIN * seen[0], False), _rounded(FAR_MARGIN * seen[2], True)
-            medians.append(seen[1])
-    if measured:
-        note = f"depth range of {_cameras(capture, measured)} measured on matched points: {_shown(measured.values())}"
-        capture = _ranged(capture, measured, "measured", medians, note)
+        depths = points_depth_range(points, camera.world_to_camera, camera.K, camera.size, FEWEST_POINTS)
+        if depths is not None:
+            matched[camera.name] = _rounded(NEAR_MARGIN * depths[0], False), _rounded(FAR_MARGIN * depths[2], True)
+            medians.append(depths[1])
+    if matched:
+        note = f"depth range of {_cameras(capture, matched)} measured on matched points: {_shown(matched.values())}"
+        capture = _ranged(capture, matched, "measured", medians, note)
     left = [_matchable(camera, capture.cameras) for camera in capture.cameras if camera.range_origin == "guessed"]
     if not left or not measure:
         return capture
@@ -209,11 +209,11 @@ def matched_points(capture: Capture) -> Array:
     features = [_features(capture, camera.name) for camera in cameras]
     points = [np.empty((0, 3))]
     for first, second in neighbour_pairs(cameras, NEIGHBOURS):
-        one, other = cameras[first], cameras[second]
-        pair = match_pair(first, second, features[first], features[second], max(*one.size, *other.size))
+        camera, partner = cameras[first], cameras[second]
+        pair = match_pair(first, second, features[first], features[second], max(*camera.size, *partner.size))
         if pair is not None:
-            sound, depth, _ = sound_matches(one, other, pair)
-            points.append(one.unproject(pair.uv_first[sound], depth[sound]))
+            sound, depth, _ = sound_matches(camera, partner, pair)
+            points.append(camera.unproject(pair.uv_first[sound], depth[sound]))
     return np.concatenate(points)
 
 
@@ -224,15 +224,15 @@ def _neighbourhoods(cameras: Sequence[Camera]) -> list[Camera]:
     centres = np.stack([camera.centre for camera in cameras])
     middles = np.linspace(0, len(cameras) - 1, NEIGHBOURHOODS).round().astype(int)
     near = [np.linalg.norm(centres - centres[middle], axis=1).argsort(kind="stable")[: NEIGHBOURS + 1] for middle in middles]
-    return [cameras[index] for index in sorted({int(index) for each in near for index in each})]
+    return [cameras[index] for index in sorted({int(index) for neighbours in near for index in neighbours})]
 
 
 def _matchable(camera: Camera, cameras: Sequence[Camera]) -> Camera:
     """A camera of a guessed range, its near so far off that it overlaps with a neighbour there: nothing is known of nearer."""
-    others = sorted((other for other in cameras if other is not camera), key=lambda other: remoteness(camera, other))
+    partners = sorted((partner for partner in cameras if partner is not camera), key=lambda partner: remoteness(camera, partner))
     for near in np.geomspace(camera.near, (camera.near * camera.far) ** 0.5, NEAREST_TRIED):
         nearer = replace(camera, near=float(near))
-        if any(can_rectify(nearer, other, nearest=1.0) for other in others[:NEIGHBOURS]):
+        if any(can_rectify(nearer, partner, nearest=1.0) for partner in partners[:NEIGHBOURS]):
             return nearer
     return camera
 

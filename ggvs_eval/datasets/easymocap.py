@@ -123,12 +123,12 @@ def load(path: Path, units: GivenUnits) -> Capture:
     poses = [view.world_to_camera for view in views if view.world_to_camera is not None]
     depths = _depth_ranges(path, [view.near_far for view in views], poses, lenses)
     names = [view.name for view in views]
-    rig = [RigCamera(*each, each[1].K) for each in zip(names, lenses, poses, depths, strict=True)]
+    rig = [RigCamera(*values, values[1].K) for values in zip(names, lenses, poses, depths, strict=True)]
     extras = _extras(path, dict(zip(names, lenses, strict=True)), sources[0].n_frames)
     cameras, pinhole = pinhole_rig(rig, sources, path / EXTRINSICS, path)
-    chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
+    scale = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
-    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras, notes=notes)
+    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, scale, fps=fps, extras=extras, notes=notes)
 
 
 def _filmed(path: Path) -> tuple[list[FileCamera], dict[str, CameraFrames], list[str]]:
@@ -144,7 +144,7 @@ def _filmed(path: Path) -> tuple[list[FileCamera], dict[str, CameraFrames], list
 
 
 def _depth_ranges(
-    path: Path, given: Sequence[tuple[float, float] | None], poses: Sequence[Array], lenses: Sequence[Lens]
+    path: Path, near_fars: Sequence[tuple[float, float] | None], poses: Sequence[Array], lenses: Sequence[Lens]
 ) -> list[tuple[float, float] | None]:
     """Near and far of each camera; None if the capture says nothing of them.
 
@@ -156,7 +156,7 @@ def _depth_ranges(
     background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else np.empty((0, 3))
     guesses = rig_depth_range(poses)
     ranges: list[tuple[float, float] | None] = []
-    for near_far, pose, lens, (_, guessed_far) in zip(given, poses, lenses, guesses, strict=True):
+    for near_far, pose, lens, (_, guessed_far) in zip(near_fars, poses, lenses, guesses, strict=True):
         depths = corners @ pose[2, :3] + pose[2, 3]
         surfaces = points_depth_range(background, pose, lens.K, (lens.width, lens.height))
         is_in_front = bool(corners.size and depths.min() > 0)

@@ -19,13 +19,13 @@ VIEW_ENTRY = re.compile(
 SAID = re.compile(r"[1-9]|\btrue\b|equirect|panoram|spheric|fisheye|ortho|omni", re.I)
 
 
-def unknown_entries(path: Path, entries: Mapping[str, Any], known: Collection[str]) -> list[str]:
+def unknown_entries(path: Path, entries: Mapping[str, Any], known_keys: Collection[str]) -> list[str]:
     """The entries of a file that its reader skips.
 
     Raises:
         CaptureError: one of them says where a pixel looks (`VIEW_ENTRY`), and is not 0 or no.
     """
-    unknown = [key for key in entries if key not in known]
+    unknown = [key for key in entries if key not in known_keys]
     for key in unknown:
         value = str(entries[key]).strip()
         if VIEW_ENTRY.search(key) and SAID.search(value):

@@ -61,10 +61,10 @@ def find_cameras(path: Path) -> dict[Path, str]:
         if entries and len(entries[0].relative_to(path).parts) <= DEEPEST:
             folders += [inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))]
     files = [file for folder in folders for file in folder[:MOST_FILES] if file.is_file() and not is_own(file)]
-    held = {
+    contents = {
         file: held_cameras(_content(file)) for file in files if file.suffix.lower() not in MEDIA and not TEXTS.search(file.name)
     }
-    return {file: what for file, what in held.items() if what}
+    return {file: content for file, content in contents.items() if content}
 
 
 def find_cameras_above(path: Path) -> list[str]:

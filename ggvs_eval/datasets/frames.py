@@ -88,8 +88,8 @@ class ImageFrames:
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, read from the header of every image."""
         sizes = {file: self._size(header) for file, header in self._headers.items()}
-        (size, _), *others = Counter(sizes.values()).most_common()
-        if others:
+        (size, _), *other_sizes = Counter(sizes.values()).most_common()
+        if other_sizes:
             odd = next(file for file in self.files if sizes[file] != size)
             content = f"got {sizes[odd][0]} x {sizes[odd][1]}"
             raise CaptureError(
@@ -152,8 +152,8 @@ class ImageFrames:
         wrong = [number for number, count in counts.items() if count > 1 or (number is None and len(numbered) > 1)]
         if wrong:
             files = [file.name for number, file in numbered if number == wrong[0]]
-            shown = "no number" if wrong[0] is None else f"the number {wrong[0]}"
-            repeats = f"{'several with ' * (len(files) > 1)}{shown} ({' and '.join(files[:LISTED])})"
+            number_text = "no number" if wrong[0] is None else f"the number {wrong[0]}"
+            repeats = f"{'several with ' * (len(files) > 1)}{number_text} ({' and '.join(files[:LISTED])})"
             remedy = "give each a number of its own, or put those of other cameras into other folders"
             raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {remedy}")
         in_time = sorted((number or 0, file) for number, file in numbered)

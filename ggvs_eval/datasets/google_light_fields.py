@@ -153,13 +153,13 @@ def load_immersive(path: Path, units: GivenUnits) -> Capture:
         by the number its folder begins with.
     """
     views = _read_immersive(path / MODELS)
-    found = find_frames(path, {view.name: view.name for view in views})
-    filmed = [view for view in views if view.name in found.sources]
+    found_frames = find_frames(path, {view.name: view.name for view in views})
+    filmed = [view for view in views if view.name in found_frames.sources]
     depths = known_depths("immersive", path.resolve().name.partition("_")[0])
     rig = [view._replace(near_far=depths) for view in filmed]
-    cameras, pinhole = pinhole_rig(rig, [found.sources[view.name] for view in filmed], path / MODELS, path)
-    chosen = choose_units(path, units, cameras, of_data_set=METRIC)
-    return assemble_capture(path, "immersive", cameras, pinhole, chosen, notes=found.notes)
+    cameras, pinhole = pinhole_rig(rig, [found_frames.sources[view.name] for view in filmed], path / MODELS, path)
+    scale = choose_units(path, units, cameras, of_data_set=METRIC)
+    return assemble_capture(path, "immersive", cameras, pinhole, scale, notes=found_frames.notes)
 
 
 def _read_immersive(file: Path) -> list[RigCamera]:

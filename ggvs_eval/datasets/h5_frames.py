@@ -114,14 +114,14 @@ def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
     """
     with _opened_file(path) as file:
         names = [name for name in STORED if name == "rgb" or file.id.links.exists(name.encode())]
-    whole = H5File(path)
-    parts = {name: H5Frames(whole, name, 0) for name in names}
+    h5_file = H5File(path)
+    parts = {name: H5Frames(h5_file, name, 0) for name in names}
     rgb_counts = parts["rgb"].counts
     for name, part in parts.items():
         if part.counts != rgb_counts[: len(part.counts)]:
             remedy = "write both from the same frames"
             raise CaptureError(f"{path}: wanted {name} of (cameras, frames) {rgb_counts} of rgb, got {part.counts}; {remedy}")
-    return {name: [H5Frames(whole, name, camera) for camera in range(rgb_counts[0])] for name in names}
+    return {name: [H5Frames(h5_file, name, camera) for camera in range(rgb_counts[0])] for name in names}
 
 
 @contextmanager

@@ -92,9 +92,9 @@ def align_instants(
     ranges: dict[tuple[Any, ...], list[str]] = {}
     for name, numbers in instants.items():
         ranges.setdefault(tuple(numbers), []).append(name)
-    shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
+    ranges_text = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
     if {numbers[0] for numbers in ranges} == {0, 1} and len({tuple(np.diff(row)) for row in ranges}) == 1 and not are_times:
-        note = f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"
+        note = f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {ranges_text}"
         return Aligned(sources, extras, fps or min(rates), [note])
     start = min(numbers[0] for numbers in ranges)
     places = {name: np.array([float(number - start) for number in numbers]) for name, numbers in instants.items()}
@@ -110,7 +110,7 @@ def align_instants(
     if not common:
         remedy = "number all from one frame on" + f", and move {tables} elsewhere" * bool(tables)
         raise CaptureError(
-            f"{path}: wanted cameras with a common instant, {origin}, got {shown}; if they begin together, {remedy}"
+            f"{path}: wanted cameras with a common instant, {origin}, got {ranges_text}; if they begin together, {remedy}"
         )
     left_out = [f"{name} {len(row) - len(common)} of {len(row)}" for name, row in places.items() if len(row) > len(common)]
     notes = (
@@ -198,8 +198,8 @@ def _common_rate(path: Path, sources: Mapping[str, FrameSource], fps: float | No
     if faults:
         remedy = f"'ggvs-eval check {path} --repair' takes the span that all have and pairs frames by time"
         raise OutOfStepError(f"{path}: wanted {'; and '.join(faults)}; {remedy}")
-    taken = "frame t of each camera counts as one instant, regardless of its time"
-    notes = [f"variable frame rate in {listed(uneven)}: {taken}" + f"; their times differ by up to {apart}" * is_timed]
+    rule = "frame t of each camera counts as one instant, regardless of its time"
+    notes = [f"variable frame rate in {listed(uneven)}: {rule}" + f"; their times differ by up to {apart}" * is_timed]
     return round(rate, 2) if shortest > 1 else 0.0, notes * (bool(uneven) and not fps) + _late(videos, rate)
 
 

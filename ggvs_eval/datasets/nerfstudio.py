@@ -88,10 +88,10 @@ def load(path: Path, units: GivenUnits) -> Capture:
     if any(RECORDED in frame for frame in frames.values()):
         sources: list[SizedSource] = [_recorded(path, frames[name].get(RECORDED, [frames[name]["file_path"]])) for name in names]
     else:
-        found = find_frames(path, {name: _image(frames[name]["file_path"]) for name in names})
-        notes += found.notes
-        names = list(found.sources)
-        sources = list(found.sources.values())
+        found_frames = find_frames(path, {name: _image(frames[name]["file_path"]) for name in names})
+        notes += found_frames.notes
+        names = list(found_frames.sources)
+        sources = list(found_frames.sources.values())
     unknown = sorted({key for name in names for key in unknown_entries(files[0], frames[name], KNOWN)})
     notes += [f"{listed(file.name for file in files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
     rig = [_rig_camera(files[0], name, frames[name], source) for name, source in zip(names, sources, strict=True)]
@@ -133,8 +133,8 @@ def _read_frames(file: Path) -> list[dict[str, Any]]:
     try:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(file, len(values["frames"]))
-        given = {**values, SPLIT: file.stem.rpartition("_")[2]}
-        described = [{**given, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
+        defaults = {**values, SPLIT: file.stem.rpartition("_")[2]}
+        described = [{**defaults, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
         for frame in described:
             frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)
         return _rig_over_time(described)

@@ -68,8 +68,8 @@ def _read(file: Path) -> Iterator[tuple[str, _View]]:
         yield from _views(json.loads(read_plain_text(file)))
     except DAMAGE as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error)
-        wanted = "w, h, and of each instant the lists k, w2c, fn and cam_id"
-        raise CaptureError(f"{file}: wanted {wanted}, got: {reason:.200}") from error
+        form = "w, h, and of each instant the lists k, w2c, fn and cam_id"
+        raise CaptureError(f"{file}: wanted {form}, got: {reason:.200}") from error
 
 
 def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
@@ -83,9 +83,9 @@ def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
     size = int(meta["w"]), int(meta["h"])
     for index in range(K.shape[1]):
         name = _folder(str(files[0][index]))
-        for values, what in ((K[:, index], "k"), (poses[:, index], "w2c")):
+        for values, key in ((K[:, index], "k"), (poses[:, index], "w2c")):
             if np.abs(values - values[0]).max() > STILL * max(np.abs(values[0]).max(), 1.0):
-                raise ValueError(f"{what} of camera {name} that changes; if it stands still, write the first instant's for all")
+                raise ValueError(f"{key} of camera {name} that changes; if it stands still, write the first instant's for all")
         pictures = [str(row[index]) for row in files]
         if any(_folder(file) != name for file in pictures):
             raise ValueError(f"images of several folders for camera {name}")

@@ -55,7 +55,7 @@ class PublicDataset:
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of all scenes."""
-        return (*(self.folders or self.archives), *(scene for each in self.by_hand for scene in each.scenes))
+        return (*(self.folders or self.archives), *(scene for part in self.by_hand for scene in part.scenes))
 
     def terms(self, scene: str) -> str:
         """Return title, size, licence, page and protocols, in one line."""
@@ -101,9 +101,9 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
         )
     dataset = datasets[dataset_name]
     if scene not in dataset.scenes:
-        known = f"{', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}"
+        scenes_text = f"{', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}"
         where = "" if scene or dataset.archives else f"; {dataset.way(dataset.by_hand[0], 'SCENE')}"
-        raise CaptureError(f"{name}: wanted one of {known}; {dataset.terms('SCENE')}{where}")
+        raise CaptureError(f"{name}: wanted one of {scenes_text}; {dataset.terms('SCENE')}{where}")
     return dataset, scene
 
 
@@ -136,9 +136,9 @@ def get_capture(name: str) -> Path:
     place = dataset.place(scene)
     if place.is_dir():
         return place
-    for each in dataset.by_hand:
-        if scene in each.scenes:
-            raise DownloadError(f"{name}: {dataset.way(each, scene)}")
+    for part in dataset.by_hand:
+        if scene in part.scenes:
+            raise DownloadError(f"{name}: {dataset.way(part, scene)}")
     archive = dataset.archives[0] if dataset.folders else scene
     file = dataset.folder() / f"{archive}.zip"
     download(dataset.url.format(archive=archive), file, file.with_suffix(".json"))

@@ -27,8 +27,8 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
         return None
     marks = [mark for _, spec in DATASETS.working() for mark in spec.marks]
     for mark in dict.fromkeys(marks):
-        if found := min(path.glob(mark), default=None):
-            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks), ""
+        if marked_file := min(path.glob(mark), default=None):
+            return marked_file.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks), ""
     if marked := find_marked(path):
         file, what, advice = marked
         return str(file.relative_to(path)), (), f"{what}, not read here; {advice}"
@@ -40,8 +40,8 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
     names += f" and {len(files) - len(first)} like these" if len(files) > len(first) else ""
     what = f"cameras ({', '.join(dict.fromkeys(files.values()))}) in a form that is not read here"
     what += f", and more in {listed(above)}" if (above := find_cameras_above(path)) else ""
-    used = {os.path.abspath(file) for file in (*files, *list_files_below(path, (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)))}
-    return names, (), "; ".join([what, FORMS, *unused_note(path, used, ())])
+    paths = {os.path.abspath(file) for file in (*files, *list_files_below(path, (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)))}
+    return names, (), "; ".join([what, FORMS, *unused_note(path, paths, ())])
 
 
 def unfit(path: Path, refusals: Mapping[str, str]) -> str:
@@ -66,9 +66,9 @@ def unfit(path: Path, refusals: Mapping[str, str]) -> str:
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
         return f"{path}: wanted a capture in a known layout; {remedy} (looked for: {reasons})"
-    name, layouts, what = mark
+    name, layouts, kind = mark
     if not layouts:
-        return f"{path}: {name} exist{'s' * (' ' not in name)}: {what}; {remedy} (looked for: {reasons})"
+        return f"{path}: {name} exist{'s' * (' ' not in name)}: {kind}; {remedy} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
     return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {remedy} (also looked for: {reasons})"
 

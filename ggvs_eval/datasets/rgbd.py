@@ -130,11 +130,11 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     if steps.dtype != np.uint16 or steps.ndim != 2:
         content = f"{steps.dtype} {steps.shape}"
         raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {content}; export it without conversion")
-    measured = steps.astype(np.uint16, copy=False)
-    if not known_depth(measured).any():
+    depth_map = steps.astype(np.uint16, copy=False)
+    if not known_depth(depth_map).any():
         content = f"nothing but 0 and {LARGEST_STEP}" if steps.any() else "zeros alone"
         raise CaptureError(f"{path}: wanted measured depth, got {content}; leave this frame out or export it again")
-    return measured
+    return depth_map
 
 
 def known_depth(steps: NDArray[np.uint16]) -> NDArray[np.bool_]:
@@ -172,19 +172,19 @@ def load(path: Path, units: GivenUnits) -> Capture:
         depth maps: long sequences have thousands.
     """
     sequence = read_sequence(path)
-    kept = [number for number, pose in sequence.poses.items() if np.isfinite(pose).all()]
-    if len(kept) < 2:
+    numbers = [number for number, pose in sequence.poses.items() if np.isfinite(pose).all()]
+    if len(numbers) < 2:
         raise CaptureError(
-            f"{path}: wanted at least 2 frames with a finite pose, got {len(kept)} of {len(sequence.poses)}; track again"
+            f"{path}: wanted at least 2 frames with a finite pose, got {len(numbers)} of {len(sequence.poses)}; track again"
         )
-    sources = [ImageFrames(sequence.images[number], as_stored=True) for number in kept]
-    size = _common_size(sequence.images, kept)
+    sources = [ImageFrames(sequence.images[number], as_stored=True) for number in numbers]
+    size = _common_size(sequence.images, numbers)
     _check_intrinsics(*sequence.K, size)
-    limits, unknown = _depth_range([sequence.depths[number] for number in kept], sequence.metres_per_step)
-    _check_depth_size(sequence, kept, size)
-    cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
-    extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
-    lost = [_name(number) for number in sequence.poses if number not in kept]
+    limits, unknown = _depth_range([sequence.depths[number] for number in numbers], sequence.metres_per_step)
+    _check_depth_size(sequence, numbers, size)
+    cameras = [_make_camera(path, number, sequence, size, limits) for number in numbers]
+    extras = [Extras(depth=_depth_source(sequence, number, size)) for number in numbers]
+    lost = [_name(number) for number in sequence.poses if number not in numbers]
     notes = [f"{listed(lost)} omitted: no finite pose (tracking lost)"] if lost else []
     notes += [f"{unknown:.1%} of the depth unknown: values 0 and {LARGEST_STEP}"] if unknown else []
     notes += [sequence.note] if sequence.note else []
@@ -198,15 +198,15 @@ def _common_size(files: Mapping[int, Path], kept: Sequence[int]) -> tuple[int, i
     return ImageFrames(numbered[0][1].parent, as_stored=True, numbered=numbered).size
 
 
-def _check_depth_size(sequence: RgbdSequence, kept: Sequence[int], size: tuple[int, int]) -> None:
+def _check_depth_size(sequence: RgbdSequence, numbers: Sequence[int], size: tuple[int, int]) -> None:
     """Depth maps have one size, of the shape of the images or one that their own intrinsics bear out."""
-    depth_size = _common_size(sequence.depths, kept)
+    depth_size = _common_size(sequence.depths, numbers)
     same_shape = abs(depth_size[0] * size[1] / (depth_size[1] * size[0]) - 1) < LARGEST_STRETCH
     if sequence.K_depth:
         _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)
     elif not same_shape:
         image_size, map_size = (f"{width} x {height}" for width, height in (size, depth_size))
-        file = sequence.depths[kept[0]]
+        file = sequence.depths[numbers[0]]
         raise CaptureError(
             f"{file}: wanted depth of the shape of its {image_size} image, got {map_size}; export it without cropping"
         )
@@ -226,13 +226,13 @@ def _check_intrinsics(K: Array, file: Path, size: tuple[int, int], largest_offse
 
 def _depth_range(files: Sequence[Path], metres_per_step: float) -> tuple[tuple[float, float], float]:
     """Near and far, metres, and the share of unknown depth where a file writes it in two ways; else 0."""
-    chosen = np.unique(np.linspace(0, len(files) - 1, SAMPLED_FRAMES).round().astype(int))
-    maps = [read_depth_png(files[index]) for index in chosen]
-    known = [steps[known_depth(steps)] for steps in maps]
-    percentiles = [np.percentile(steps, (1, 99)) for steps in known]
+    indices = np.unique(np.linspace(0, len(files) - 1, SAMPLED_FRAMES).round().astype(int))
+    maps = [read_depth_png(files[index]) for index in indices]
+    depths = [steps[known_depth(steps)] for steps in maps]
+    percentiles = [np.percentile(steps, (1, 99)) for steps in depths]
     nearest, farthest = np.min(percentiles, axis=0)[0], np.max(percentiles, axis=0)[1]
     limits = float(NEAR_MARGIN * metres_per_step * nearest), float(FAR_MARGIN * metres_per_step * farthest)
-    unknown = 1 - sum(map(len, known)) / sum(steps.size for steps in maps)
+    unknown = 1 - sum(map(len, depths)) / sum(steps.size for steps in maps)
     return limits, unknown if any((steps == LARGEST_STEP).any() for steps in maps) else 0.0
 
 

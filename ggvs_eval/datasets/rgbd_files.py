@@ -112,11 +112,11 @@ def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
     return dict(sorted(files_by_number.items()))
 
 
-def _check_complete(images: dict[int, Path], files: dict[int, Path], folder: Path, what: str) -> None:
+def _check_complete(images: dict[int, Path], files: dict[int, Path], folder: Path, noun: str) -> None:
     missing = [str(number) for number in images if number not in files]
     if missing or not images:
         gap = f"none for {listed(missing)}" if missing else "no images"
-        raise CaptureError(f"{folder}: wanted a {what} for each of the {len(images)} images, got {gap}; export the frames again")
+        raise CaptureError(f"{folder}: wanted a {noun} for each of the {len(images)} images, got {gap}; export the frames again")
 
 
 def _read_pose_rows(file: Path, numbers: list[int]) -> dict[int, Array]:
@@ -251,5 +251,5 @@ def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) 
     K = stated.copy()
     K[:2, 2] += 0.5
     values = ", ".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    other = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
-    return (K, path / INTRINSICS), f"K of {data_set} is taken (fx, fy, cx, cy {values}); {other}"
+    alternative = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
+    return (K, path / INTRINSICS), f"K of {data_set} is taken (fx, fy, cx, cy {values}); {alternative}"

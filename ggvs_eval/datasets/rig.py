@@ -37,11 +37,11 @@ def pinhole_cameras(rig: Sequence[RigCamera], file: Path) -> list[Camera]:
     """Return the cameras of the undistorted images; `file` is named in errors."""
     guesses = rig_depth_range([camera.world_to_camera for camera in rig])
     cameras = []
-    for (name, lens, pose, given, K), guess in zip(rig, guesses, strict=True):
-        origin: RangeOrigin = "given" if given else "guessed"
+    for (name, lens, pose, near_far, K), guess in zip(rig, guesses, strict=True):
+        origin: RangeOrigin = "given" if near_far else "guessed"
         try:
             K = lens.undistorted_K() if K is None else K
-            cameras.append(Camera(name, K, pose, lens.width, lens.height, *(given or guess), range_origin=origin))
+            cameras.append(Camera(name, K, pose, lens.width, lens.height, *(near_far or guess), range_origin=origin))
         except CameraError as error:
             raise CaptureError(f"{file}: {error}") from error
     return cameras

@@ -80,14 +80,14 @@ def _read_rows(file: Path) -> np.ndarray:
     if not rows:
         raise CaptureError(f"{file}: wanted a line of names and a row per camera, got none; copy the scene again")
     for index, row in enumerate(rows):
-        shown = " ".join(f"{value:g}" for value in row)
+        row_text = " ".join(f"{value:g}" for value in row)
         if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
-            wanted = f"{COLUMNS} as finite numbers"
+            form = f"{COLUMNS} as finite numbers"
         elif abs(row[4]) > LARGEST_SKEW_PX or not 0.99 < float(np.linalg.norm(row[5:9])) < 1.01:
-            wanted = "zero skew (sk) and a unit quaternion"
+            form = "zero skew (sk) and a unit quaternion"
         else:
             continue
-        raise CaptureError(f"{file}: wanted {wanted} of camera {index}, got {shown:.80}; copy the scene again")
+        raise CaptureError(f"{file}: wanted {form} of camera {index}, got {row_text:.80}; copy the scene again")
     return np.array(rows)
 
 

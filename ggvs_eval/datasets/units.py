@@ -35,7 +35,7 @@ GUESSED = "guess: median scene depth taken for 2 m"
 
 def choose_units(
     path: Path,
-    given: GivenUnits,
+    units: GivenUnits,
     cameras: Sequence[Camera],
     *,
     of_data_set: Units | None = None,
@@ -49,11 +49,11 @@ def choose_units(
     Args:
         median_depths: median scene depth per camera, world units, for the guess.
     """
-    file = given if isinstance(given, Path) else path / UNITS_FILE
-    if isinstance(given, Path) or (given is None and file.is_file()):
+    file = units if isinstance(units, Path) else path / UNITS_FILE
+    if isinstance(units, Path) or (units is None and file.is_file()):
         return _measured_units(file, cameras)
-    if given is not None:
-        return Units(_positive(given, path, "world units per metre"), "given by the user")
+    if units is not None:
+        return Units(_positive(units, path, "world units per metre"), "given by the user")
     noted = read_note(path, "units_per_metre")
     if noted is not None:
         return Units(_positive(noted, path / DEMO_NOTES, "world units per metre"), DEMO_NOTES)

@@ -20,20 +20,20 @@ TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
 LISTED = 8
 
 
-def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list[str]:
+def unused_note(path: Path, paths: Collection[str], notes: Sequence[str]) -> list[str]:
     """A note on what a folder holds beside a capture that was opened, and nothing of it was looked at.
 
     Args:
-        used: absolute paths of files that were.
+        paths: absolute paths of files that were.
         notes: of the capture, which may name some of it already.
     """
     named = set(re.split(r"[ ,;:/]+", " ".join(notes)))
     start = os.path.join(os.path.abspath(path), "")
-    tops = {file.removeprefix(start).partition(os.sep)[0] for file in used if file.startswith(start)}
-    own = {folder for folder, file in OWN_FOLDERS.items() if (path / file).is_file()}
+    tops = {file.removeprefix(start).partition(os.sep)[0] for file in paths if file.startswith(start)}
+    own_folders = {folder for folder, file in OWN_FOLDERS.items() if (path / file).is_file()}
     names = []
     for entry in list_entries(path):
-        is_known = entry.name in tops | own or is_own(entry) or TEXTS.search(entry.name)
+        is_known = entry.name in tops | own_folders or is_own(entry) or TEXTS.search(entry.name)
         if not is_known and named.isdisjoint({entry.name, entry.stem}):
             names.append(f"{entry.name}/" if entry.is_dir() else entry.name)
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""

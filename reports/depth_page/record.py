@@ -66,10 +66,10 @@ def measured_pixels(depth_map: DepthMap, filled_confidence: float) -> NDArray[np
 
 def describe_map(frame: int, depth_map: DepthMap, filled_confidence: float) -> DepthStatistics:
     """Count the pixels of a depth map; parameters as for `measured_pixels`."""
-    measured, has_depth = measured_pixels(depth_map, filled_confidence), depth_map.depth > 0
-    depths, shares = depth_map.depth[measured], (measured.mean(), (has_depth & ~measured).mean(), (~has_depth).mean())
+    is_measured, has_depth = measured_pixels(depth_map, filled_confidence), depth_map.depth > 0
+    depths, shares = depth_map.depth[is_measured], (is_measured.mean(), (has_depth & ~is_measured).mean(), (~has_depth).mean())
     near, median, far = np.percentile(depths, (1, 50, 99)) if depths.size else (0.0, 0.0, 0.0)
-    confidence = np.median(depth_map.confidence[measured]) if depths.size else 0.0
+    confidence = np.median(depth_map.confidence[is_measured]) if depths.size else 0.0
     return DepthStatistics(frame, *(float(value) for value in (*shares, confidence, near, median, far)))
 
 

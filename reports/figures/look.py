@@ -67,8 +67,8 @@ def only_methods(run: MeasuredRun, labels: Sequence[str]) -> MeasuredRun:
     """
     unknown = [label for label in labels if label not in run.pictured]
     if unknown:
-        known = ", ".join(run.pictured)
-        raise ResultsError(f"{run.folder.root}: no complete renders of {', '.join(map(repr, unknown))}; use one of {known}")
+        names_text = ", ".join(run.pictured)
+        raise ResultsError(f"{run.folder.root}: no complete renders of {', '.join(map(repr, unknown))}; use one of {names_text}")
     return replace(run, labels=tuple(dict.fromkeys(labels))) if labels else run
 
 
@@ -86,9 +86,9 @@ def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
     absent = [name for name in names if name not in summary]
     if absent:
         raise ResultsError(f"{run.folder.root}: no {', '.join(absent)}; it has {', '.join(summary.columns)}")
-    told = {}
+    words = {}
     for keys, line in summary.iterrows():
         _, method, variant = cast(tuple[str, str, str], keys)
         scores = (f"{name} {format_value(float(line[name]), run.metrics[name].decimals)}" for name in names)
-        told[label_of(method, variant)] = ", ".join(scores)
-    return told
+        words[label_of(method, variant)] = ", ".join(scores)
+    return words

@@ -139,8 +139,8 @@ def draw_crops(
     figure, axes = _grid(size, [height / width, *[1.0] * len(regions)], len(pictures))
     longest = int(column_in * LETTERS_PER_IN)
     for across, (key, picture) in enumerate(pictures.items()):
-        told = (scores or {}).get(key, "").replace(", ", "\n")
-        _show(axes[0, across], picture, f"{run.name(key)}\n{told}", longest)
+        score_text = (scores or {}).get(key, "").replace(", ", "\n")
+        _show(axes[0, across], picture, f"{run.name(key)}\n{score_text}", longest)
         for number, region in enumerate(regions):
             _box(axes[0, across], region, number)
             _show(axes[1 + number, across], _cut(picture, region), "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}")
@@ -170,11 +170,11 @@ def draw_failures(
         _show(axes[down, 0], pictures[label], f"{region.view}, frame {region.frame}", longest)
         _box(axes[down, 0], region, 0)
         for across, key in enumerate(labels, start=1):
-            name, told = "" if down else names[key], "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
-            _show(axes[down, across], _cut(pictures[key], region), f"{name}{told}", longest)
-        shown = axes[down, -1].imshow(_cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE)
+            name, error_text = "" if down else names[key], "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
+            _show(axes[down, across], _cut(pictures[key], region), f"{name}{error_text}", longest)
+        picture = axes[down, -1].imshow(_cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE)
         _bare(axes[down, -1], "" if down else error_of, longest)
-    bar = figure.colorbar(shown, ax=axes[:, -1], fraction=0.08, pad=0.04)
+    bar = figure.colorbar(picture, ax=axes[:, -1], fraction=0.08, pad=0.04)
     bar.ax.tick_params(labelsize=TINY)
     bar.set_label("grey levels of 255", fontsize=TINY)
     if look.has_title:

@@ -100,8 +100,8 @@ def find_regions(
     views = run.protocol.views.test if view is None else (view,)
     frames: Sequence[int] = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)] if frame is None else (frame,)
     _check(run, rule, label, views, frames)
-    by_view = [max((_search(run, rule, label, name, at, 1)[0] for at in frames), key=lambda one: one.score) for name in views]
-    by_view.sort(key=lambda one: -one.score)
+    by_view = [max((_search(run, rule, label, name, at, 1)[0] for at in frames), key=lambda box: box.score) for name in views]
+    by_view.sort(key=lambda box: -box.score)
     if one_per_view:
         return tuple(by_view[:count])
     return _search(run, rule, label, by_view[0].view, by_view[0].frame, count)
@@ -195,16 +195,16 @@ def _mean_of_squares(values: NDArray[np.float32], side: int) -> NDArray[np.float
 def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, count: int) -> tuple[Region, ...]:
     """Return the square of the largest weighted score in a frame, and the next ones that overlap none of those before."""
     images = _read_frames(run, view, frame)
-    shown = [image for key, image in images.items() if key != "truth" and (rule == "different" or key == label)]
-    errors, weight = _errors(images), comparison_weight(images["truth"], shown)
+    pictures = [image for key, image in images.items() if key != "truth" and (rule == "different" or key == label)]
+    errors, weight = _errors(images), comparison_weight(images["truth"], pictures)
     scores, side = score_map(errors, rule, label), square_side(errors[label].shape)
     is_shown = _mean_of_squares((weight > 0).astype(np.float32), side) >= COVERED_SHARE
-    left_over = np.where(is_shown if is_shown.any() else True, scores * _mean_of_squares(weight, side), -np.inf)
+    scores_left = np.where(is_shown if is_shown.any() else True, scores * _mean_of_squares(weight, side), -np.inf)
     regions: list[Region] = []
-    while len(regions) < count and np.isfinite(left_over).any():
-        top, left = (int(at) for at in np.unravel_index(int(np.argmax(left_over)), left_over.shape))
+    while len(regions) < count and np.isfinite(scores_left).any():
+        top, left = (int(at) for at in np.unravel_index(int(np.argmax(scores_left)), scores_left.shape))
         regions.append(Region(view, frame, top, left, side, float(scores[top, left])))
-        left_over[max(0, top - side + 1) : top + side, max(0, left - side + 1) : left + side] = -np.inf
+        scores_left[max(0, top - side + 1) : top + side, max(0, left - side + 1) : left + side] = -np.inf
     return tuple(regions)
 
 

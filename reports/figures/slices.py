@@ -126,15 +126,15 @@ def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
     """
     if len(image) < 2 or image.shape != truth.shape:
         return ()
-    changes, true_changes = (np.diff(each.astype(np.float32), axis=0) for each in (image, truth))  # (samples - 1, W, 3)
+    changes, true_changes = (np.diff(picture.astype(np.float32), axis=0) for picture in (image, truth))  # (samples - 1, W, 3)
     apart = cv2.blur(np.abs(changes - true_changes).mean(axis=2), (BREAK_WIDTH, 1))  # (samples - 1, W)
     least = max(BREAK_LEAST, BREAK_TIMES * float(np.median(apart)))
-    found: list[Break] = []
-    while len(found) < BREAKS_AT_MOST and float(apart.max()) >= least:
+    breaks: list[Break] = []
+    while len(breaks) < BREAKS_AT_MOST and float(apart.max()) >= least:
         at, x = (int(place) for place in np.unravel_index(int(apart.argmax()), apart.shape))
-        found.append(Break(at + 1, x, float(apart[at, x])))
+        breaks.append(Break(at + 1, x, float(apart[at, x])))
         apart[max(0, at - 1) : at + 2, max(0, x - BREAK_APART) : x + BREAK_APART + 1] = 0.0
-    return tuple(found)
+    return tuple(breaks)
 
 
 def _with_breaks(strips: Sequence[Strip]) -> tuple[Strip, ...]:
@@ -243,11 +243,11 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 
 
 def _choose_row(
-    asked: int | None, folders: Mapping[str, Path], indices: range, otherwise: Callable[[], int], words: str
+    row_given: int | None, folders: Mapping[str, Path], indices: range, otherwise: Callable[[], int], words: str
 ) -> tuple[int, str]:
     """The row, and who chose it in words: anyone who asked for one, the methods' differences, or else a rule on the pictures."""
-    if asked is not None:
-        return asked, "given"
+    if row_given is not None:
+        return row_given, "given"
     if (row := most_different_row(folders, indices)) is not None:
         return row, "where the methods differ most"
     return otherwise(), words
@@ -376,11 +376,11 @@ def _picture_of_strip(slices: Slices, strip: Strip) -> dict[str, Any]:
         return {"name": strip.name, "picture": None}
     count, width = strip.image.shape[:2]
     number, breaks = ("frame" if slices.kind == "time" else "pose"), []
-    for one in strip.breaks:
+    for gap in strip.breaks:
         words = (
-            f"{number} {slices.first + one.at}, column {one.x}: changes by {one.apart:.0f} levels more or less than the reference"
+            f"{number} {slices.first + gap.at}, column {gap.x}: changes by {gap.apart:.0f} levels more or less than the reference"
         )
-        place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
-        left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
+        place = f"{quote(slices.view, safe='')}/{slices.first + gap.at}/{gap.x},{slices.row}/{quote(strip.label, safe='')},truth"
+        left, top = round(100 * (gap.x + 0.5) / width, 2), round(100 * gap.at / count, 2)
         breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})
     return {"name": strip.name, "picture": webp_uri(strip.image, LOSSLESS), "breaks": breaks}

@@ -117,9 +117,9 @@ def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark
     marks = []
     for label in run.labels:
         per_second = records.get(label, {}).get("per_second")
-        seen, waited = (float(values.get(row, {}).get(metric, math.nan)) for row in (f"{label}{ON_SCREEN}", label))
-        if per_second and math.isfinite(seen) and math.isfinite(waited):
-            marks.append((label, Mark(f"{run.name(label)}{at_k}", per_second, seen, waited)))
+        displayed, waited = (float(values.get(row, {}).get(metric, math.nan)) for row in (f"{label}{ON_SCREEN}", label))
+        if per_second and math.isfinite(displayed) and math.isfinite(waited):
+            marks.append((label, Mark(f"{run.name(label)}{at_k}", per_second, displayed, waited)))
     return marks
 
 
@@ -178,9 +178,9 @@ def stream_table(run: MeasuredRun) -> Table | None:
 
 def _screen_cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:
     stages_ms = record.get("stages_ms", {})
-    whole = sum(stages_ms.values())
+    total = sum(stages_ms.values())
     depth = f"(depth {stages_ms['depth']:.1f})" if "depth" in stages_ms else ""
-    time = Cell(f"{whole:.1f}", whole, beside=depth) if stages_ms else None
+    time = Cell(f"{total:.1f}", total, beside=depth) if stages_ms else None
     if "absent" in record:
         absent = Cell("not on the screen", note=record["absent"])
         return (time or absent, *[absent] * (len(SCREEN_COLUMNS) - 1))

@@ -64,7 +64,7 @@ class MetricNote:
 
 def read_metric_notes(run: Path) -> dict[str, MetricNote]:
     """Return metric -> its note, in the order in which the protocol names them."""
-    fields = {each.name for each in dataclasses.fields(MetricNote)} - {"name"}
+    fields = {field.name for field in dataclasses.fields(MetricNote)} - {"name"}
     records = read_json(run / METRICS_FILE)
     for name, record in records.items():
         if set(record) != fields:
@@ -110,9 +110,9 @@ def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[
 
 def reference_remarks(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> list[str]:
     """List the notes below a table: what each row is, and once for all that lack the same why they have no number."""
-    mine, remarks = [reference for reference in references if reference.group == group], []
+    group_references, remarks = [reference for reference in references if reference.group == group], []
     absent: dict[str, tuple[list[str], list[str]]] = {}
-    for reference in mine:
+    for reference in group_references:
         values = {note.name: reference.values.get(note.name) for note in notes}
         if any(isinstance(value, float | int) for value in values.values()):
             remarks.append(f"{reference.name}: {reference.note}")
@@ -151,7 +151,7 @@ def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
 def captured_values(references: Sequence[Reference]) -> dict[str, float]:
     """Return the scores of the captured images along the camera path; empty if there are none."""
     along = [reference for reference in references if reference.group == "path"]
-    return {metric: value for each in along for metric, value in each.values.items() if isinstance(value, float | int)}
+    return {metric: value for reference in along for metric, value in reference.values.items() if isinstance(value, float | int)}
 
 
 def _mean_reference(by_scene: Mapping[str, Reference], scenes: Collection[str]) -> Reference:
@@ -160,12 +160,12 @@ def _mean_reference(by_scene: Mapping[str, Reference], scenes: Collection[str]) 
     if len(scenes) == 1:
         return first
     values: dict[str, float | str] = {}
-    for metric in dict.fromkeys(metric for each in by_scene.values() for metric in each.values):
-        found = {scene: by_scene[scene].values.get(metric) if scene in by_scene else None for scene in scenes}
-        numbers = [value for value in found.values() if isinstance(value, float | int)]
-        lacking = [f"{scene}: {value or 'not computed'}" for scene, value in found.items() if not isinstance(value, float | int)]
+    for metric in dict.fromkeys(metric for reference in by_scene.values() for metric in reference.values):
+        cells = {scene: by_scene[scene].values.get(metric) if scene in by_scene else None for scene in scenes}
+        numbers = [value for value in cells.values() if isinstance(value, float | int)]
+        lacking = [f"{scene}: {value or 'not computed'}" for scene, value in cells.items() if not isinstance(value, float | int)]
         values[metric] = lacking[0] if lacking else sum(numbers) / len(numbers)
-    sides = {side for each in by_scene.values() for side in each.bounds.items()}
+    sides = {side for reference in by_scene.values() for side in reference.bounds.items()}
     unlike = {metric for metric, side in sides if (metric, "at most") in sides and side != "at most"}
     values |= dict.fromkeys(unlike, "a bound from above in one scene and from below in another")
     return replace(first, values=values, bounds=dict(sides))
@@ -281,8 +281,8 @@ class MeasuredRun:
     @property
     def ours_first(self) -> tuple[str, ...]:
         """The same, as one method is shown: the paper's first, then its variants; last what is at fault."""
-        ours, bad = self.ours, self.results.spoilt
-        return tuple(sorted(self.pictured, key=lambda label: (label in bad, label not in ours, label in ours and "+" in label)))
+        paper, bad = self.ours, self.results.spoilt
+        return tuple(sorted(self.pictured, key=lambda label: (label in bad, label not in paper, label in paper and "+" in label)))
 
     def called(self, scene: str) -> "MeasuredRun":
         """Return the same run with another name of its scene."""
@@ -343,7 +343,7 @@ def read_run(root: Path) -> MeasuredRun:
     folder = run.folder
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
-    hidden = {label for others in run.replicas.values() for label in others} | _left_out(run)
+    hidden = {label for labels_of_seeds in run.replicas.values() for label in labels_of_seeds} | _left_out(run)
     labels = tuple(label for label in folder.labels() if label not in hidden)
     run = replace(run, labels=labels)
     for view in run.protocol.views.test:
@@ -379,19 +379,19 @@ def read_scores(root: Path) -> MeasuredRun:
     methods = read_json(folder.root / METHODS_FILE)
     notes = read_metric_notes(folder.root)
     replicas = find_replicas(labels)
-    hidden = {label for others in replicas.values() for label in others}
-    shown, ours = tuple(label for label in labels if label not in hidden), frozenset(methods["ours"]) - hidden
-    own = without_labels(results, rows.keys() - shown)
-    everything = None if own is results else results
+    hidden = {label for labels_of_seeds in replicas.values() for label in labels_of_seeds}
+    visible, own_labels = tuple(label for label in labels if label not in hidden), frozenset(methods["ours"]) - hidden
+    results_shown = without_labels(results, rows.keys() - visible)
+    everything = None if results_shown is results else results
     sources = frozenset(methods.get("from_sources", ()))  # which runs of earlier versions do not say
     references = read_json(folder.root / REFERENCES_FILE) if (folder.root / REFERENCES_FILE).is_file() else []
     return MeasuredRun(
         folder=folder,
         protocol=protocol,
-        results=own,
-        labels=shown,
+        results=results_shown,
+        labels=visible,
         names=methods["names"],
-        ours=ours,
+        ours=own_labels,
         metrics=notes,
         references=tuple(Reference(**reference) for reference in references),
         replicas=replicas,
@@ -416,8 +416,8 @@ def sweep_runs(sweep: Path) -> list[Path]:
 
 def name_scenes(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
     """Return the runs with one name for each scene that was captured, see `ggvs_eval.merged_results.tell_scenes_apart`."""
-    told = tell_scenes_apart([run.results for run in runs])
-    return [run.called(", ".join(results.scenes)) for run, results in zip(runs, told, strict=True)]
+    named_results = tell_scenes_apart([run.results for run in runs])
+    return [run.called(", ".join(results.scenes)) for run, results in zip(runs, named_results, strict=True)]
 
 
 def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -446,5 +446,5 @@ def distinct_names(roots: Sequence[Path]) -> list[str]:
     """
     parts = [root.resolve().parts for root in roots]
     lengths = range(1, max(map(len, parts), default=1) + 1)
-    ends = ([Path(*each[-length:]).as_posix() for each in parts] for length in lengths)
+    ends = ([Path(*path_parts[-length:]).as_posix() for path_parts in parts] for length in lengths)
     return next((names for names in ends if len(set(names)) == len(set(parts))), [root.as_posix() for root in roots])

@@ -44,7 +44,7 @@ class Column:
         """
         name = self.name
         parts: list[str] = []
-        while (ending := next((each for each in ENDINGS if name.endswith(f"_{each}")), "")) and name != ending:
+        while (ending := next((suffix for suffix in ENDINGS if name.endswith(f"_{suffix}")), "")) and name != ending:
             name, parts = name.removesuffix(f"_{ending}"), [ENDINGS[ending], *parts]
         return " ".join(filter(None, (", ".join([name.replace("_", "-" if name.isupper() else " "), *parts]), self.arrow)))
 
@@ -180,13 +180,13 @@ def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
     rows = []
     for name in sorted(kinds, key=lambda name: kinds[name][0] in GREY):  # stable: grey rows last
-        shown = (cells[table.key, name][at] if (table.key, name) in cells else Cell(DASH) for table, at in places)
-        row = Row(name, tuple(shown), *kinds[name])
+        row_cells = (cells[table.key, name][at] if (table.key, name) in cells else Cell(DASH) for table, at in places)
+        row = Row(name, tuple(row_cells), *kinds[name])
         if not row.is_grey or any(cell.value is not None for cell in row.cells):
             rows.append(row)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
     columns = tuple(table.columns[at] for table, at in places)
-    judgements = {name: one for table in tables for name, one in table.judgements.items() if name in names}
+    judgements = {name: judgement for table in tables for name, judgement in table.judgements.items() if name in names}
     return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, judgements)
 
 

@@ -100,9 +100,9 @@ def page_numbers(report: Report) -> dict[str, int]:
 
 def template_environment() -> "Environment":
     """Return the page's templates, with its filters."""
-    made = open_templates(TEMPLATES)
-    made.filters |= {"coded": _coded, "copyable": copyable}
-    return made
+    environment = open_templates(TEMPLATES)
+    environment.filters |= {"coded": _coded, "copyable": copyable}
+    return environment
 
 
 def _coded(text: str) -> str:
@@ -161,9 +161,9 @@ def _parts(blocks: Collection[str]) -> list[Part]:
     """Return the parts that have something to show."""
     parts = []
     for anchor, title, names in PARTS:
-        shown = tuple(name for name in names if name in blocks)
-        if shown:
-            parts.append((*(VIEWS if shown[0] == "views" else (anchor, title)), shown))
+        parts_shown = tuple(name for name in names if name in blocks)
+        if parts_shown:
+            parts.append((*(VIEWS if parts_shown[0] == "views" else (anchor, title)), parts_shown))
     return parts
 
 
@@ -176,7 +176,7 @@ def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
         [group.heading for group, _ in runs],
         [f"{group.heading}, {run.scene}" for group, run in runs],
     ]
-    return next((each for each in names if len(set(each)) == len(runs)), names[-1])
+    return next((candidates for candidates in names if len(set(candidates)) == len(runs)), names[-1])
 
 
 def _addresses(names: Sequence[str]) -> list[str]:
@@ -188,15 +188,15 @@ def _addresses(names: Sequence[str]) -> list[str]:
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     """Return the commands that reproduce these numbers; folders by last names only, to reveal nothing of the machine."""
     root = run_words(run.folder.root, capture)
-    ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
-    foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
-    given = ["--with-truth"] if run.has_own_truth else ["--capture", Path(capture).name]
-    given += ["--protocol", f"{root}/protocol.toml"]
-    commands = [["prepare", root, *given, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]] if ours else []
-    scored = ["score", *([root] if ours else ["--run", root, *given]), *(["--renders", *foreign] if foreign else [])]
+    local = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
+    foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in local]
+    inputs = ["--with-truth"] if run.has_own_truth else ["--capture", Path(capture).name]
+    inputs += ["--protocol", f"{root}/protocol.toml"]
+    commands = [["prepare", root, *inputs, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]] if local else []
+    scored = ["score", *([root] if local else ["--run", root, *inputs]), *(["--renders", *foreign] if foreign else [])]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
-        if labels := [label for label in ours if (label in on_gpu) == device]:
+        if labels := [label for label in local if (label in on_gpu) == device]:
             commands.append(["render", root, "--methods", *labels, *flags])
     return [shlex.join(["ggvs-eval", *command]) for command in (*commands, scored, ["report", root])]
 

@@ -121,7 +121,7 @@ def compare_frames(
     """
     views, diagnostics = run.protocol.views.test, _diagnostics(run)
     names = {key: run.name(key) for key in ("truth", *run.pictured)}
-    names |= {f"{label}/{UNDONE}": f"{run.name(label)}: {one.words}" for label, one in (undone or {}).items()}
+    names |= {f"{label}/{UNDONE}": f"{run.name(label)}: {renders.words}" for label, renders in (undone or {}).items()}
     inside = {key: key.split("/") for key in next(iter(diagnostics.values()))}
     names |= {key: f"{run.name(label)}: {MEANINGS[kind][0]}" for key, (label, kind) in inside.items()}
     keys = tuple(names)
@@ -180,10 +180,10 @@ def _compress_frames(
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
         pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)), MAP_QUALITY)
-    for label, one in undone.items():
-        frame_undone = one.read(view, frame)
-        shown = np.full_like(truth, NOTHING_255) if frame_undone is None else frame_undone
-        pictures[f"{label}/{UNDONE}"] = webp_uri(shrink(shown, width)), ""
+    for label, renders in undone.items():
+        frame_undone = renders.read(view, frame)
+        picture = np.full_like(truth, NOTHING_255) if frame_undone is None else frame_undone
+        pictures[f"{label}/{UNDONE}"] = webp_uri(shrink(picture, width)), ""
     for key, folder in diagnostics[view].items():
         pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width), MAP_QUALITY), ""
     return pictures
@@ -302,9 +302,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     if not count:
         return None
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
-    told = diagnostics_label(run)
-    if told in folders:
-        folders |= dict(diagnostics_folders(folders[told], told, range(count)))
+    source = diagnostics_label(run)
+    if source in folders:
+        folders |= dict(diagnostics_folders(folders[source], source, range(count)))
     files = {key: [frame_path(folder, pose) for pose in poses] for key, folder in folders.items()}
     middle = [read_image(paths[len(paths) // 2]) for paths in files.values()]
     width = fitting_width(middle, byte_budget / (len(poses) * len(folders)))
@@ -347,8 +347,8 @@ def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:
     Args:
         bytes_each: what one may take as WebP, before base64; the narrowest width of `WEBP_WIDTHS` is taken where nothing fits.
     """
-    own = samples[0].shape[1]
-    for width in (own, *(width for width in WEBP_WIDTHS if width < own)):
+    full_width = samples[0].shape[1]
+    for width in (full_width, *(width for width in WEBP_WIDTHS if width < full_width)):
         if np.mean([len(webp_bytes(shrink(sample, width))) for sample in samples]) <= bytes_each:
             break
     return width

@@ -69,7 +69,7 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
     better = "higher is better" if column.higher_is_better else "lower is better"
     axes = Panel(column.name, column.unit, better, "", (), bounds)
     dots: list[Dot] = []
-    ordered = sorted(((axes.x(math.log10(time)), axes.y(value), name) for name, value, time in placed), key=lambda one: one[1])
+    ordered = sorted(((axes.x(math.log10(time)), axes.y(value), name) for name, value, time in placed), key=lambda dot: dot[1])
     boxes: list[Box] = [(x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX) for x, y, _ in ordered]
     words = {name: f"{value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms" for name, value, time in placed}
     for x, y, name in ordered:
@@ -87,20 +87,22 @@ def _free_box(x: float, y: float, name: str, boxes: Sequence[Box]) -> Box:
     inside = [line for line in lines if MARGIN[2] <= line <= SIZE[1] - MARGIN[3]]
     ends = [left for left in (x + GAP_PX, x - GAP_PX - width) if MARGIN[0] <= left <= last] or [last]
     places = [(left, line + 2 - LINE_PX, left + width, line + 2) for line in inside for left in ends]
-    meet = [any(one[0] < box[2] and box[0] < one[2] and one[1] < box[3] and box[1] < one[3] for box in boxes) for one in places]
-    return next((one for one, taken in zip(places, meet, strict=True) if not taken), places[0])
+    meet = [
+        any(spot[0] < box[2] and box[0] < spot[2] and spot[1] < box[3] and box[1] < spot[3] for box in boxes) for spot in places
+    ]
+    return next((spot for spot, is_taken in zip(places, meet, strict=True) if not is_taken), places[0])
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
     """Return the milliseconds of a frame of a method, the mean over runs; None if none was recorded."""
-    found = [
+    times = [
         cell.value
         for table in timings
         for row in table.rows
         for column, cell in zip(table.columns, row.cells, strict=True)
         if row.name == name and column.name == TOTAL and cell.value
     ]
-    return sum(found) / len(found) if found else None
+    return sum(times) / len(times) if times else None
 
 
 def over_time_section(report: Report) -> SectionContent:

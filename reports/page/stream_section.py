@@ -49,7 +49,7 @@ def _displayed_tables(group: RunGroup) -> list[Table]:
     if not runs:
         return []
     results = merge_results([run.results for run in runs])
-    measured = {*results.table["metric"]}
-    metrics = [name for name in runs[0].metrics if name in measured]
+    measured_names = {*results.table["metric"]}
+    metrics = [name for name in runs[0].metrics if name in measured_names]
     tables = main_tables(runs, results, metrics, with_grey=False)
     return [replace(table, key=SCORES_KEY, title=SCORES_TITLE) for table in tables]

@@ -75,7 +75,7 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
 def _measured_on(sweep: Path) -> str:
     """Protocol, frames and views of its runs; those of one capture differ in K alone."""
     protocols = [RunFolder(run).protocol() for run in sweep_runs(sweep)]
-    kinds = dict.fromkeys((each.name, each.frames.count, ", ".join(each.views.test)) for each in protocols)
+    kinds = dict.fromkeys((protocol.name, protocol.frames.count, ", ".join(protocol.views.test)) for protocol in protocols)
     return "; ".join(f"protocol {name}: {count} frames of {views}" for name, count, views in kinds)
 
 

@@ -108,7 +108,7 @@ def _insets(run: MeasuredRun, keys: Sequence[str], width: int) -> dict[str, dict
     if len(labels) < 2:
         return {}
     regions = find_regions(replace(run, labels=labels), "different", labels[0], count, one_per_view=True)
-    return {one.view: {"left": one.left / one.side, "top": one.top / one.side, "across": width / one.side} for one in regions}
+    return {box.view: {"left": box.left / box.side, "top": box.top / box.side, "across": width / box.side} for box in regions}
 
 
 def _run_address(root: Path, folder: Path | None) -> str:

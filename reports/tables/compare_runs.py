@@ -99,8 +99,8 @@ def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
         raise ResultsError(f"{run}: wanted two methods, got {first} twice")
     kinds = {label.endswith(ON_SCREEN) for label in (first, second)}  # as in their table
     results = without_labels(results, [label for label in _labels(results) if label.endswith(ON_SCREEN) not in kinds])
-    one, other = (Side(names.get(label, label), label, results) for label in (first, second))
-    return one, other
+    first_side, second_side = (Side(names.get(label, label), label, results) for label in (first, second))
+    return first_side, second_side
 
 
 def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
@@ -110,8 +110,8 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
         ResultsError: not scored runs, different protocols or captured frames, or no method in common.
     """
     results = [Results.read(first), Results.read(second)]
-    told = tell_scenes_apart(results)
-    results = told if told[0].scenes == told[1].scenes else results  # one scene may be in folders of two names
+    renamed = tell_scenes_apart(results)
+    results = renamed if renamed[0].scenes == renamed[1].scenes else results  # one scene may be in folders of two names
     _require_alike(first, second, *results)
     names = RunFolder(first).shown_names
     labels = _labels(results[0]), _labels(results[1])
@@ -121,9 +121,9 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
 
 
-def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
+def differences(first: Side, second: Side, run: Path) -> tuple[Difference, ...]:
     """Return every metric that both have, see `compare_pairs`."""
-    return compare_pairs({"": (one, other)}, run)[""]
+    return compare_pairs({"": (first, second)}, run)[""]
 
 
 def compare_pairs(
@@ -155,56 +155,56 @@ def compare_pairs(
     return {name: tuple(row for place, row in compared.items() if place[0] == name) for name in pairs}
 
 
-def _compare_sides(one: Side, other: Side, run: Path, names: tuple[str, str]) -> list[Difference]:
+def _compare_sides(first_side: Side, second_side: Side, run: Path, names: tuple[str, str]) -> list[Difference]:
     """Return the differences of two sides: those that the tables of a run have decided, and others that nobody has yet."""
-    measured, is_one_run = read_scores(run), one.results is other.results
-    parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
-    both = replace(one.results, table=pd.concat(parts, ignore_index=True))
-    dataset, labels = str(both.table["dataset"].iloc[0]), (one.label, other.label) if is_one_run else SIDES
-    standings = _standings(measured, one.results if is_one_run else both, labels, dataset)
-    set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (one, other)])
-    if not set_aside and one.frames and one.frames == other.frames:
+    run_read, is_one_run = read_scores(run), first_side.results is second_side.results
+    parts = [_renamed(side, name) for side, name in zip((first_side, second_side), SIDES, strict=True)]
+    joined = replace(first_side.results, table=pd.concat(parts, ignore_index=True))
+    dataset, labels = str(joined.table["dataset"].iloc[0]), (first_side.label, second_side.label) if is_one_run else SIDES
+    standings = _standings(run_read, first_side.results if is_one_run else joined, labels, dataset)
+    set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (first_side, second_side)])
+    if not set_aside and first_side.frames and first_side.frames == second_side.frames:
         set_aside = f"{names[0]} and {names[1]} are the same frames, byte by byte"
-    means = both.summary().loc[dataset]
+    means = joined.summary().loc[dataset]
     notes = [
         note
-        for metric, note in measured.metrics.items()
-        if both.table[both.table["metric"] == metric]["method"].nunique() == len(SIDES)
+        for metric, note in run_read.metrics.items()
+        if joined.table[joined.table["metric"] == metric]["method"].nunique() == len(SIDES)
     ]
     pairs = [Pair(note.name, *labels) for note in notes]
     decided = standings.decide(pairs) if is_one_run else {}  # all metrics of the two together
     rows: list[Difference] = []
     for note, pair in zip(notes, pairs, strict=True):
         unranked = standings.judgements[note.name].unranked if note.name in standings.judgements else {}
-        comparison = decided.get(pair) or compare(both, note.name, *SIDES, dataset, note.higher_is_better)
+        comparison = decided.get(pair) or compare(joined, note.name, *SIDES, dataset, note.higher_is_better)
         first, second = (float(means[note.name][side, ""]) for side in SIDES)
         why = set_aside or _named(names, map(unranked.get, labels))
         rows.append(Difference(note, "", first, second, comparison, why, names))
-        rows += [replace(row, set_aside=why, names=names) for row in _per_view(both, dataset, note)]
+        rows += [replace(row, set_aside=why, names=names) for row in _per_view(joined, dataset, note)]
     return rows
 
 
-def _standings(measured: MeasuredRun, results: Results, labels: Collection[str], dataset: str) -> Standings:
+def _standings(run: MeasuredRun, results: Results, labels: Collection[str], dataset: str) -> Standings:
     """Return the judgements of the table that two methods are in; those of different runs are in none but their own."""
-    shown = {*measured.labels}
-    if {*labels} <= shown:
-        return judge_runs([measured], without_labels(results, {*results.row_labels} - shown))[dataset]
-    return judge_runs([replace(measured, ours=measured.ours & {*results.row_labels})], results)[dataset]
+    labels_shown = {*run.labels}
+    if {*labels} <= labels_shown:
+        return judge_runs([run], without_labels(results, {*results.row_labels} - labels_shown))[dataset]
+    return judge_runs([replace(run, ours=run.ours & {*results.row_labels})], results)[dataset]
 
 
 def _named(names: Sequence[str], reasons: Iterable[str | None]) -> str:
     return "; ".join(f"{name} {reason}" for name, reason in zip(names, reasons, strict=True) if reason)
 
 
-def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
+def _per_view(results: Results, dataset: str, note: MetricNote) -> list[Difference]:
     """Return the same in each test view alone, undecided; nothing for what belongs to the whole rig or to the camera path."""
-    means = both.per_view(note.name)
-    test_views = both.protocol_values.get("views", {}).get("test", means.columns)
+    means = results.per_view(note.name)
+    test_views = results.protocol_values.get("views", {}).get("test", means.columns)
     rows = []
     for view in test_views:
         if view in means.columns:
             # The values of one view as if it were the whole rig, so that what is drawn anew is time alone.
-            alone = replace(both, table=both.table[both.table["view"] == view].assign(view=None))
+            alone = replace(results, table=results.table[results.table["view"] == view].assign(view=None))
             comparison = compare(alone, note.name, *SIDES, dataset, note.higher_is_better)
             first, second = means[view].loc[[(side, "") for side in SIDES]].astype(float)
             rows.append(Difference(note, str(view), first, second, comparison))
@@ -213,45 +213,45 @@ def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]
 
 def what_else_differs(first: Path, second: Path) -> list[str]:
     """Versions, methods and frames that differ between two runs, one line each."""
-    one, other = Results.read(first), Results.read(second)
-    versions = _unequal(one.versions, other.versions)
+    first_results, second_results = Results.read(first), Results.read(second)
+    versions = _unequal(first_results.versions, second_results.versions)
     lines = [f"version of {name}: {a} in {first}, {b} in {second}" for name, a, b in versions]
-    renders = one.renders, other.renders
+    renders = first_results.renders, second_results.renders
     shared = [name for name in renders[0] if name in renders[1]]
-    same = [name for name in shared if renders[0][name] == renders[1][name]]
-    lines += [f"equal frames: {', '.join(same)}"] if same else []
-    labels = _labels(one), _labels(other)
+    equal_names = [name for name in shared if renders[0][name] == renders[1][name]]
+    lines += [f"equal frames: {', '.join(equal_names)}"] if equal_names else []
+    labels = _labels(first_results), _labels(second_results)
     alone = [(first, set(labels[0]) - set(labels[1])), (second, set(labels[1]) - set(labels[0]))]
-    return lines + [f"only in {run}: {', '.join(sorted(own))}" for run, own in alone if own]
+    return lines + [f"only in {run}: {', '.join(sorted(labels_alone))}" for run, labels_alone in alone if labels_alone]
 
 
 def _renamed(side: Side, name: str) -> pd.DataFrame:
-    chosen = [label == side.label for label in side.results.row_labels]
-    return side.results.table[chosen].assign(method=name, variant="")
+    mask = [label == side.label for label in side.results.row_labels]
+    return side.results.table[mask].assign(method=name, variant="")
 
 
 def _labels(results: Results) -> list[str]:
     return list(dict.fromkeys(results.row_labels))
 
 
-def _require_alike(first: Path, second: Path, one: Results, other: Results) -> None:
+def _require_alike(first: Path, second: Path, first_results: Results, second_results: Results) -> None:
     """Refuse runs whose numbers do not answer the same question."""
-    hashes = one.protocol_sha256, other.protocol_sha256
+    hashes = first_results.protocol_sha256, second_results.protocol_sha256
     if hashes[0] != hashes[1]:
-        terms = _flat(one.protocol_values), _flat(other.protocol_values)
-        told = "; ".join(f"{name} {a} and {b}" for name, a, b in _unequal(*terms))
+        terms = _flat(first_results.protocol_values), _flat(second_results.protocol_values)
+        terms_text = "; ".join(f"{name} {a} and {b}" for name, a, b in _unequal(*terms))
         raise ResultsError(
             f"{first} and {second} were measured under different protocols ({hashes[0][:12]}, {hashes[1][:12]}): "
-            f"{told or 'their values are not recorded'}; score both under one"
+            f"{terms_text or 'their values are not recorded'}; score both under one"
         )
-    inputs = [name for name, _, _ in _unequal(one.inputs, other.inputs)]
+    inputs = [name for name, _, _ in _unequal(first_results.inputs, second_results.inputs)]
     if inputs:
         raise ResultsError(f"{first} and {second} are not of the same captured frames: {', '.join(inputs)}")
 
 
-def _unequal(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-    names = dict.fromkeys([*one, *other])
-    return [(name, one.get(name, "none"), other.get(name, "none")) for name in names if one.get(name) != other.get(name)]
+def _unequal(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    names = dict.fromkeys([*first, *second])
+    return [(name, first.get(name, "none"), second.get(name, "none")) for name in names if first.get(name) != second.get(name)]
 
 
 def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
@@ -266,13 +266,13 @@ def differences_text(differences: Sequence[Difference]) -> str:
     rows = [HEADS, *map(cells_of, differences)]
     widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    given: dict[str, list[str]] = {}
-    for one in differences:
-        if one.comparison.p_value is not None and not one.view and one.comparison.note:
-            given.setdefault(one.comparison.note, []).append(one.metric)
-    notes = [f"Intervals of the means of {', '.join(metrics)}: {note}." for note, metrics in given.items()]
+    conditions: dict[str, list[str]] = {}
+    for row in differences:
+        if row.comparison.p_value is not None and not row.view and row.comparison.note:
+            conditions.setdefault(row.comparison.note, []).append(row.metric)
+    notes = [f"Intervals of the means of {', '.join(metrics)}: {note}." for note, metrics in conditions.items()]
     return "\n".join(
-        [*lines, *notes, *(["Intervals of single views: given the view."] if any(one.view for one in differences) else [])]
+        [*lines, *notes, *(["Intervals of single views: given the view."] if any(row.view for row in differences) else [])]
     )
 
 
@@ -302,27 +302,27 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
     Raises:
         ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
     """
-    if run is None and not all(RunFolder(Path(each)).protocol_file.is_file() for each in (first, second)):
+    if run is None and not all(RunFolder(Path(root)).protocol_file.is_file() for root in (first, second)):
         raise ResultsError(
             f"wanted two run folders, got {first} and {second}; for methods of one run add --run RUN, for renders --capture DIR"
         )
     pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
-    named = {one.name if run is None else f"{one.name} against {other.name}": (one, other) for one, other in pairs}
+    named = {left.name if run is None else f"{left.name} against {right.name}": (left, right) for left, right in pairs}
     by_pair = compare_pairs(named, run or Path(first))
     if out is not None:
         write_text(out, differences_csv(by_pair))
-    parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in by_pair.items()]
+    parts = [f"{name}\n{differences_text([row for row in rows if views or not row.view])}" for name, rows in by_pair.items()]
     return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
 
 
-def cells_of(one: Difference) -> tuple[str, ...]:
+def cells_of(row: Difference) -> tuple[str, ...]:
     """Return what the columns `HEADS` say."""
-    low, high = one.comparison.low, one.comparison.high
-    shown = [format_value(value, one.note.decimals) for value in (one.first, one.second)]
-    digits = one.note.decimals
+    low, high = row.comparison.low, row.comparison.high
+    numbers = [format_value(value, row.note.decimals) for value in (row.first, row.second)]
+    digits = row.note.decimals
     interval = "none" if low is None or high is None else f"{signed(low, digits)} to {signed(high, digits)}"
-    corrected = one.comparison.corrected
+    corrected = row.comparison.corrected
     p_value = "none" if corrected is None else "< 0.0001" if corrected < 0.0001 else f"{corrected:.4f}"
-    name = f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric
-    return name, one.view or "all", *shown, signed(one.comparison.difference, digits), interval, p_value, one.verdict
+    name = f"{row.metric} ({row.note.unit})" if row.note.unit else row.metric
+    return name, row.view or "all", *numbers, signed(row.comparison.difference, digits), interval, p_value, row.verdict

@@ -94,8 +94,8 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     }
     if not any(cell.value is not None for line in lines.values() for cell in line):
         return None
-    kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
-    rows = [run.row(label, [line[at] for at in kept]) for label, line in lines.items()]
+    columns_shown = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
+    rows = [run.row(label, [line[at] for at in columns_shown]) for label, line in lines.items()]
     caption = "Peak memory: of the process, including memory of earlier methods."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
@@ -103,7 +103,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
             f"Fitted methods render each test view from a fit without its fold ({folds}); the others from K sources. "
             f"Fitting: mean over the folds, depth excluded as for all methods. {caption} {ELSEWHERE}"
         )
-    columns = tuple(COST_COLUMNS[at] for at in kept)
+    columns = tuple(COST_COLUMNS[at] for at in columns_shown)
     return Table("costs", "Input and cost of each method", caption, columns, tuple(rows), run.scene)
 
 
@@ -174,8 +174,8 @@ def _seed_table(run: MeasuredRun) -> Table | None:
     numbers = {label_of(*names): summary.loc[names] for names in summary.index}
     notes = [note for name, note in run.metrics.items() if name in summary.columns]
     rows = []
-    for label, others in run.replicas.items():
-        values = [[float(numbers[each][note.name]) for each in (label, *others)] for note in notes]
+    for label, replicas in run.replicas.items():
+        values = [[float(numbers[replica][note.name]) for replica in (label, *replicas)] for note in notes]
         rows.append(run.row(label, list(map(_seed_cell, notes, values))))
     columns = tuple(Column(note.name, note.unit, None, note.describe) for note in notes)
     caption = "Largest minus smallest number over the seeds of the fit; the other tables show the first seed."
@@ -186,28 +186,28 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
     spread = max(values) - min(values)
     if spread != spread:  # NaN: a seed lacks the metric
         return Cell("not computed: a seed without it")
-    shown = ", ".join(format_value(value, note.decimals) for value in values)
-    return Cell(format_half_width(max(values), spread, note.decimals), spread, note=shown)
+    numbers_text = ", ".join(format_value(value, note.decimals) for value in values)
+    return Cell(format_half_width(max(values), spread, note.decimals), spread, note=numbers_text)
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
     """Price of being online: every fitted method minus GGVS, per dataset; nothing if either is missing or set aside."""
     labels = [label for run in runs for label in run.ours_first if label not in results.set_aside]
     fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels))
-    ours = [label for label in labels if label in runs[0].ours and label not in fitted]
-    if not fitted or not ours:
+    own_labels = [label for label in labels if label in runs[0].ours and label not in fitted]
+    if not fitted or not own_labels:
         return ()
     notes, standings = list(runs[0].metrics.values()), judge_runs(runs, results)
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
         cells: dict[str, list[Cell]] = {label: [] for label in fitted}
-        decided = standings[dataset].decide(Pair(note.name, label, ours[0]) for note in notes for label in fitted)
+        decided = standings[dataset].decide(Pair(note.name, label, own_labels[0]) for note in notes for label in fitted)
         for label, of_label in cells.items():
             for note in notes:
-                comparison = decided.get(Pair(note.name, label, ours[0]))
+                comparison = decided.get(Pair(note.name, label, own_labels[0]))
                 of_label.append(difference_cell(note, comparison, results.why_absent(note.name, label)))
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
-        name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
+        name, k = runs[0].name(own_labels[0]), runs[0].protocol.synthesis.k
         caption = (
             f"Each fitted method minus {name}, which uses {k} views and no future frames; "
             f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
@@ -259,8 +259,8 @@ def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], p
         bound from either side. A fit has reached a method where its number is no worse and the clip is not too short to call it.
     """
     instant = [label for label in psnr_db if label not in fits]
-    ours = next((label for label in run.ours_first if label in instant and label in run.ours), None)
-    rivals = [label for label in (ours, next((each for each in instant if each.startswith("enerf")), None)) if label]
+    own_label = next((label for label in run.ours_first if label in instant and label in run.ours), None)
+    rivals = [label for label in (own_label, next((name for name in instant if name.startswith("enerf")), None)) if label]
     if not rivals:
         return None
     families: dict[str, list[str]] = {}
@@ -268,12 +268,12 @@ def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], p
         families.setdefault(without_option(label, "steps"), []).append(label)
     targets = {f"{STATED_DB:g} dB": {label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits}}
     for rival in reversed(rivals):
-        found = {label: _reached(one.outcome, one.difference) for label, one in _against(run, rival, fits).items()}
-        targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": found} | targets
+        times = {label: _reached(result.outcome, result.difference) for label, result in _against(run, rival, fits).items()}
+        targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": times} | targets
     columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
     rows = []
     for family, labels in families.items():
-        points = [sorted((fit_seconds(fits[each]), psnr_db[each], found[each]) for each in labels) for found in targets.values()]
+        points = [sorted((fit_seconds(fits[name]), psnr_db[name], times[name]) for name in labels) for times in targets.values()]
         rows.append(Row(run.name(family), tuple(map(_crossing, points))))
     caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"
     return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
@@ -317,7 +317,7 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
         number = Cell(format_value(psnr_db[best], run.metrics["PSNR"].decimals), psnr_db[best])
         rows.append(run.row(best, (from_s, number, ahead)))
         judged = _against(run, best, by_cost[by_cost.index(best) + 1 :])
-        best = next((label for label, one in judged.items() if one.outcome == "better"), "")
+        best = next((label for label, comparison in judged.items() if comparison.outcome == "better"), "")
         ahead = difference_cell(run.metrics["PSNR"], judged.get(best))
     columns = (
         Column("fitting", "s", None, "Seconds of one fold's fit: the budget from which this method is best."),
@@ -348,12 +348,12 @@ def _same(run: MeasuredRun) -> str:
     protocol, synthesis = run.protocol, run.protocol.synthesis
     sources = "" if run.from_sources.isdisjoint(run.labels) else f"K = {synthesis.k} sources for those that render from sources; "
     way = measuring_way(protocol.measurement)
-    measured = f", {way.describe}," if way else ""
+    way_text = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
     return (
         f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
         f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; {sources}"
-        f"scores from 8-bit images on disk{measured} by one implementation of each metric"
+        f"scores from 8-bit images on disk{way_text} by one implementation of each metric"
     )
 
 

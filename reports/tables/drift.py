@@ -27,20 +27,20 @@ def drift_table(run: MeasuredRun) -> Table | None:
     if run.protocol.frames.count < LEAST_FRAMES:
         return None
     notes = [note for note in run.metrics.values() if note.group == next(iter(run.metrics.values())).group]
-    series = {note.name: of for note in notes if (of := _drift_series(run, note.name, labels))}
+    series = {note.name: series_of_labels for note in notes if (series_of_labels := _drift_series(run, note.name, labels))}
     if not series:
         return None
-    shown = [run.metrics[name] for name in series]
+    notes_shown = [run.metrics[name] for name in series]
     heads = ("{}", APART) if len(labels) > 1 else ("{}",)  # one method alone is all of the mean
-    columns = [Column(head.format(note.name), note.unit, note.higher_is_better) for note in shown for head in heads]
+    columns = [Column(head.format(note.name), note.unit, note.higher_is_better) for note in notes_shown for head in heads]
     means = {name: np.mean(list(by_label.values()), axis=0) for name, by_label in series.items()}
     rows = []
     for label in labels:
         cells = []
-        for note in shown:
-            own = series[note.name].get(label)
-            apart = None if own is None else own - means[note.name]
-            cells += [_drift_cell(each, note) for each in (own, apart)[: len(heads)]]
+        for note in notes_shown:
+            values = series[note.name].get(label)
+            apart = None if values is None else values - means[note.name]
+            cells += [_drift_cell(line, note) for line in (values, apart)[: len(heads)]]
         rows.append(run.row(label, cells))
     count = sum(cell.value is not None for row in rows for cell in row.cells)
     caption = (
@@ -53,15 +53,15 @@ def drift_table(run: MeasuredRun) -> Table | None:
 
 def _drift_series(run: MeasuredRun, metric: str, labels: Sequence[str]) -> dict[str, Array]:
     """Return label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
-    found = {}
+    series = {}
     for label in labels:
         try:
             panel = read_panel(run.results, metric, run.results.scenes[0], *split_label(label))
         except ResultsError:
             continue
         if len(panel.frames) == run.protocol.frames.count:
-            found[label] = panel.values.mean(axis=0)
-    return found
+            series[label] = panel.values.mean(axis=0)
+    return series
 
 
 def _drift_cell(series: Array | None, note: MetricNote) -> Cell:

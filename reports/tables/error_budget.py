@@ -241,28 +241,28 @@ def explained_shares(image: Array32, truth: Image8, coverage: Map) -> tuple[Map,
         image: (H, W, 3), grey levels.
         coverage: 1 if a source sees the pixel, (H, W).
     """
-    rendered, wanted, counted = (_resized(values, COMPARED_WIDTH) for values in (image, truth, coverage))
-    error = _windows(_squared(rendered, wanted) * counted)
-    whole, half = (_left_when_moved(moved, wanted, counted) for moved in (rendered, 2 * rendered - wanted))
-    moved = np.minimum(whole, half / 4)
-    blurs = (cv2.GaussianBlur(wanted, (0, 0), sigma_px) for sigma_px in BLURS_PX)
+    rendered, target, counted = (_resized(values, COMPARED_WIDTH) for values in (image, truth, coverage))
+    error = _windows(_squared(rendered, target) * counted)
+    full, half = (_left_when_moved(moved, target, counted) for moved in (rendered, 2 * rendered - target))
+    moved = np.minimum(full, half / 4)
+    blurs = (cv2.GaussianBlur(target, (0, 0), sigma_px) for sigma_px in BLURS_PX)
     best = reduce(np.minimum, (_windows(_squared(rendered, blur) * counted) for blur in blurs), moved)
     is_explained = best < MOST_LEFT * error
     share = np.where(is_explained, 1 - best / np.maximum(error, 1e-6), 0).astype(np.float32)
-    is_other = _likeness(rendered, wanted, counted) < LEAST_LIKENESS
-    misplaced, blurred, other = (
+    is_other = _likeness(rendered, target, counted) < LEAST_LIKENESS
+    misplaced, blurred, unlike = (
         cv2.resize(np.where(mask, values, np.float32(0)), image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         for mask, values in ((moved == best, share), (moved > best, share), (is_other & ~is_explained, np.float32(1)))
     )
-    return misplaced, blurred, other
+    return misplaced, blurred, unlike
 
 
 def _left_when_moved(image: Array32, truth: Array32, coverage: Map) -> Map:
     """Return the squared error that smooth motion leaves in windows of a picture, (H, W)."""
-    wanted, grey = (round_levels(mean_of_channels(picture)) for picture in (truth, image))
+    target, grey = (round_levels(mean_of_channels(picture)) for picture in (truth, image))
     width = coverage.shape[1]
     levels = 1 + max(int(np.log2(width / COARSEST_WIDTH)), 0)
-    motion = cv2.calcOpticalFlowFarneback(wanted, grey, None, 0.5, levels, MOTION_WINDOW, 3, 5, 1.1, 0)  # (H, W, 2), pixels
+    motion = cv2.calcOpticalFlowFarneback(target, grey, None, 0.5, levels, MOTION_WINDOW, 3, 5, 1.1, 0)  # (H, W, 2), pixels
     rows, columns = np.indices(coverage.shape, dtype=np.float32)
     places = columns + motion[..., 0], rows + motion[..., 1]
     moved = cv2.remap(image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
@@ -297,13 +297,13 @@ def budget_table(run: MeasuredRun) -> Table | None:
     """Return a row per method, and one per view of the one that the page shows first; None if there are no pictures."""
     if not run.pictured:
         return None
-    shown = run.ours_first[0]
+    main = run.ours_first[0]
     frames = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)]
     instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
     budgets = dict(zip(instants, in_threads(partial(_budgets, run), instants), strict=True))
-    rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
+    rows = [run.row(label, _share_cells([budget[label] for budget in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
-        rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
+        rows.append(Row(f"{run.name(main)} in {view}", _share_cells([budgets[view, frame][main] for frame in frames])))
     below = (f"Unseen is not measured: {NOT_TOLD.note}.",) * any(NOT_TOLD in row.cells for row in rows)
     return Table(BUDGET_KEY, "Sources of the error", CAPTION, COLUMNS, tuple(rows), run.title, below)
 
@@ -320,9 +320,9 @@ def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudge
 
 def _share_cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
     """Return the mean of the squared errors, and shares of it."""
-    total = float(np.mean([each.total for each in budgets]))
-    told = [each.unseen for each in budgets if each.unseen is not None]
-    unseen = _share(float(np.mean(told)), total) if len(told) == len(budgets) else NOT_TOLD
+    total = float(np.mean([budget.total for budget in budgets]))
+    unseen_shares = [budget.unseen for budget in budgets if budget.unseen is not None]
+    unseen = _share(float(np.mean(unseen_shares)), total) if len(unseen_shares) == len(budgets) else NOT_TOLD
     parts = np.mean([astuple(budget)[1:] for budget in budgets], axis=0)
     return Cell(f"{total:.1f}", total), unseen, *(_share(float(part), total) for part in parts)
 
@@ -353,7 +353,7 @@ def describe_absolute(
         beside.append(f"a perfect rendering without noise or codec would have {ceilings[0]}{unit} on this capture")
     published = [row.cells[at] for row in table.rows if row.kind == "published" and row.cells[at].value is not None]
     if published:
-        low, high = (end(published, key=lambda one: one.value or 0.0).shown for end in (min, max))
+        low, high = (end(published, key=lambda row_cell: row_cell.value or 0.0).shown for end in (min, max))
         beside.append(f"published methods reach {low}{f' to {high}' if high != low else ''}{unit} on this data set")
     sentences = [f"{name} has {cell.shown}{unit}; {', and '.join(beside)}."] if beside else []
     calibration = next(filter(None, map(describe_calibration, runs)), "")

@@ -66,14 +66,14 @@ class Terms:
     @property
     def words(self) -> str:
         """Source and ways of measuring, as one sentence each."""
-        measured = f"frames: {self.frames}; LPIPS: {self.lpips_net}; D-SSIM: {self.dssim}"
-        return f"{self.source}; {measured}. Values: {self.checked}."
+        ways = f"frames: {self.frames}; LPIPS: {self.lpips_net}; D-SSIM: {self.dssim}"
+        return f"{self.source}; {ways}. Values: {self.checked}."
 
     def differences(self, protocol: Protocol) -> tuple[str, ...]:
         """List in words what a protocol does otherwise than the packaged one; nothing that moves no value counts."""
-        ours, theirs = _without_choices(protocol), _without_choices(load_protocol(self.protocol))
+        here_values, packaged_values = _without_choices(protocol), _without_choices(load_protocol(self.protocol))
         parts = ("dataset", "views", "frames", "synthesis", "measurement")
-        differing = [part for part in parts if getattr(ours, part) != getattr(theirs, part)]
+        differing = [part for part in parts if getattr(here_values, part) != getattr(packaged_values, part)]
         return (f"this run differs from the packaged protocol in {', '.join(differing)}",) if differing else ()
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ class Terms:
         capture, synthesis, scenes = run.capture, packaged.synthesis, self.scenes.split()
         layout, layouts = capture.get("layout", "unknown"), self.layouts.split()
         size, paper_size = rendered_size(run), (synthesis.width, synthesis.height)
-        measured, paper_measured = _measured_size(protocol, size), _measured_size(packaged, paper_size)
+        own_size, paper_measured = _measured_size(protocol, size), _measured_size(packaged, paper_size)
         n_views, n_paper_views = len(protocol.views.test), len(packaged.views.test)
         n_frames, n_paper_frames = protocol.frames.count, packaged.frames.count
         departures = {
@@ -98,7 +98,7 @@ class Terms:
             f"K = {protocol.synthesis.k}, not {synthesis.k}": protocol.synthesis.k != synthesis.k,
             "source views chosen by coverage, not by distance": protocol.synthesis.sources != "nearest",
             f"{_size(size)} pixels, not {_size(paper_size)}": size != paper_size,
-            f"measured at {_size(measured)}, not {_size(paper_measured)}": (size == paper_size and measured != paper_measured),
+            f"measured at {_size(own_size)}, not {_size(paper_measured)}": (size == paper_size and own_size != paper_measured),
             "a frame held still or noise added": bool(capture.get("edit")),
         }
         return tuple(words for words, applies in departures.items() if applies)

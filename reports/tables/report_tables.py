@@ -64,10 +64,10 @@ def main_tables(
     Raises:
         ResultsError: a column that was not measured.
     """
-    known = list(runs[0].metrics)
-    if unknown := [name for name in columns if name not in known]:
-        near = did_you_mean(unknown[0], known)
-        raise ResultsError(f"columns: {', '.join(unknown)} was not measured; use some of {', '.join(known)}{near}")
+    measured_names = list(runs[0].metrics)
+    if unknown := [name for name in columns if name not in measured_names]:
+        near = did_you_mean(unknown[0], measured_names)
+        raise ResultsError(f"columns: {', '.join(unknown)} was not measured; use some of {', '.join(measured_names)}{near}")
     groups = note_groups([note for note in runs[0].metrics.values() if not columns or note.name in columns])
     summary, standings = results.summary(), standings or judge_runs(runs, results)
     tables = []
@@ -86,10 +86,10 @@ def _main_table(
     results, dataset = standings.results, standings.dataset
     key, title, metrics = notes[0].group, notes[0].group_title, tuple(note.name for note in notes)
     columns = tuple(metric_column(note) for note in notes)
-    here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
+    means_here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
     references = shared_references(runs) if with_grey else ()
     judgements = {name: standings.judgements[name] for name in metrics if name in standings.judgements}
-    rows = measured_rows(runs, here, metrics, notes, results, judgements)
+    rows = measured_rows(runs, means_here, metrics, notes, results, judgements)
     marked = [judgements[name].marked if name in judgements else () for name in metrics]
     grey, remarks = [*reference_rows(references, key, notes)], list[str]()
     for beside in PUBLISHED_VALUES.built_in().values() if with_grey else ():
@@ -98,9 +98,9 @@ def _main_table(
         remarks += words
     names = {row.label: row.name for row in rows}
     means, *terms = main_captions(key, runs, results, names, metrics)
-    marks, found = certainty_captions(judgements, names, results.set_aside)
+    marks, uncertainties = certainty_captions(judgements, names, results.set_aside)
     caption = " ".join(filter(None, [limit_by_cameras(runs), means, *marks]))
-    below = (*terms, *found, *reference_remarks(references, key, notes), *remarks)
+    below = (*terms, *uncertainties, *reference_remarks(references, key, notes), *remarks)
     return Table(key, title, caption, columns, (*rank(columns, rows, marked), *grey), dataset, below, judgements)
 
 
@@ -128,8 +128,8 @@ def metric_column(note: MetricNote) -> Column:
 
 def row_labels(runs: Sequence[MeasuredRun], values: pd.DataFrame) -> list[str]:
     """Return the labels of the rows of a table: the runs' methods in their order, then what else has values."""
-    measured = [label_of(method, variant) for method, variant in values.index]
-    return list(dict.fromkeys([label for run in runs for label in run.labels] + measured))
+    labels = [label_of(method, variant) for method, variant in values.index]
+    return list(dict.fromkeys([label for run in runs for label in run.labels] + labels))
 
 
 def measured_rows(
@@ -189,12 +189,12 @@ def main_captions(
     titles = {label: title for run in runs for label, title in run.names.items()}
     marks = [f"{titles.get(label, label)} is {mark}; it is not ranked." for label, mark in partial.items()]
     marks += results.fault_lines(names)
-    whole = without_labels(results, partial)
-    lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
+    ranked = without_labels(results, partial)
+    lacking = [*_fewer_frames(ranked, metrics, protocol), *_fewer_views(ranked, metrics, names)]
     marks += [OWN_TRUTH_MEANS] if any(run.has_own_truth for run in runs) else []
     marks += [f"Truth decoded {decoding}." for decoding in {run.capture.get("truth_decoding", "") for run in runs} if decoding]
-    test, chosen = {*protocol.views.test}, {*protocol.views.sources}
-    may_interchange = len(test) > 1 and (not chosen or not chosen.isdisjoint(test))  # a test view is a source of another one
+    test, stated = {*protocol.views.test}, {*protocol.views.sources}
+    may_interchange = len(test) > 1 and (not stated or not stated.isdisjoint(test))  # a test view is a source of another one
     shared = [INTERCHANGE] if sources and may_interchange else []
     cameras = [f"Cameras of {run.scene}: {run.calibration.describe()}." for run in runs if run.calibration]
     return [f"{'; '.join(filter(None, (means, sources)))}.", *cameras, *shared, *lacking, *marks, *_versions(results)]
@@ -202,30 +202,30 @@ def main_captions(
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
     """Return the number of source views of those methods of which it is known; empty if it is of none."""
-    known = set().union(*(run.from_sources for run in runs))
-    others = [name for label, name in names.items() if label not in known]
-    if len(others) == len(names):
+    informed = set().union(*(run.from_sources for run in runs))
+    exempt_names = [name for label, name in names.items() if label not in informed]
+    if len(exempt_names) == len(names):
         return ""
     synthesis = runs[0].protocol.synthesis
-    exempt = f", except for {', '.join(others)}" if others else ""
-    chosen = "" if synthesis.sources == "nearest" else f", {CHOSEN_AS[synthesis.sources]}"
-    return f"K = {synthesis.k} source views{chosen}{exempt}"
+    exempt = f", except for {', '.join(exempt_names)}" if exempt_names else ""
+    rule = "" if synthesis.sources == "nearest" else f", {CHOSEN_AS[synthesis.sources]}"
+    return f"K = {synthesis.k} source views{rule}{exempt}"
 
 
 def _fewer_views(results: Results, metrics: Sequence[str], names: Mapping[str, str]) -> list[str]:
     """State the views or scenes that a mean lacks; a method without any value has a note in its cell."""
-    measured = set(zip(results.table["metric"], results.row_labels, strict=True))
-    labels = {label for _, label in measured}
+    present = set(zip(results.table["metric"], results.row_labels, strict=True))
+    labels = {label for _, label in present}
     several = len(results.scenes) > 1
     lacking: dict[tuple[str, str, str], list[str]] = {}
-    for one in results.absences:
-        if one.metric in metrics and (one.metric, one.label) in measured:
-            place = " of ".join(filter(None, (one.view, one.scene if several or not one.view else "")))
-            lacking.setdefault((one.metric, place, one.reason), []).append(one.label)
+    for absence in results.absences:
+        if absence.metric in metrics and (absence.metric, absence.label) in present:
+            place = " of ".join(filter(None, (absence.view, absence.scene if several or not absence.view else "")))
+            lacking.setdefault((absence.metric, place, absence.reason), []).append(absence.label)
     return [
-        f"{metric}{'' if labels == set(own) else ' of ' + ', '.join(names.get(label, label) for label in own)} "
+        f"{metric}{'' if labels == set(affected) else ' of ' + ', '.join(names.get(label, label) for label in affected)} "
         f"is a mean without {place} ({reason})."
-        for (metric, place, reason), own in lacking.items()
+        for (metric, place, reason), affected in lacking.items()
     ]
 
 

@@ -171,7 +171,7 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
     return cell, status, f"{reason}; {comparable.words}{trained}"
 
 
-def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
+def evaluate_value(paper: str, cell: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
     """Decide whether a measured value reproduces the published one.
 
     Args:
@@ -181,20 +181,20 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         A published value represents all that round to it. It is reproduced where one of those is in this run's interval,
         which covers other frames (and views, from five on); without an interval, where the run rounds to the same digits.
     """
-    if ours.value is None:
+    if cell.value is None:
         raise ValueError(f"{metric}: nothing measured")
     decimals = len(paper.partition(".")[2])
     published, half_unit = float(paper), 0.5 * 10.0**-decimals
-    given = f" ({ours.note})" if ours.note else ""
-    bounds = f"{100 * LEVEL:.0f} % interval {_shown(ours.low, digits)} to {_shown(ours.high, digits)}{given}"
-    if f"{ours.value:.{decimals}f}" == paper:
+    note = f" ({cell.note})" if cell.note else ""
+    bounds = f"{100 * LEVEL:.0f} % interval {_shown(cell.low, digits)} to {_shown(cell.high, digits)}{note}"
+    if f"{cell.value:.{decimals}f}" == paper:
         return "reproduced", "the same to the printed digits"
-    has_interval = ours.low is not None and ours.high is not None
-    if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
+    has_interval = cell.low is not None and cell.high is not None
+    if has_interval and cell.low - half_unit <= published <= cell.high + half_unit:  # type: ignore[operator]
         return "reproduced", f"the paper's value is in this run's {bounds}"
-    better = "better" if (ours.value > published) == (metric in HIGHER_IS_BETTER) else "worse"
-    by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
-    return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"
+    better = "better" if (cell.value > published) == (metric in HIGHER_IS_BETTER) else "worse"
+    by = f"{format_value(abs(cell.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
+    return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{note}'}"
 
 
 def _shown(value: float | None, digits: int | None) -> str:
@@ -253,10 +253,10 @@ class Line:
 
 
 def _line(entries: Sequence[Reproduction]) -> Line:
-    first, *others = entries
+    first, *further = entries
     methods = tuple(dict.fromkeys(entry.method for entry in entries))
     method = ", ".join(methods) if len(methods) < METHODS_NAMED else f"{len(methods)} methods"
-    if not others:
+    if not further:
         metric = f"{first.metric} ({first.unit})" if first.unit else first.metric
         return Line(method, metric, first.paper, first.ours, first.status, first.why)
     metrics = ", ".join(dict.fromkeys(entry.metric for entry in entries))
@@ -268,7 +268,7 @@ def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
     by_table: dict[tuple[str, str], list[Reproduction]] = {}
     for entry in entries:
         by_table.setdefault((entry.table, entry.dataset), []).append(entry)
-    return tuple(Block(f"{TABLES[table]} on {dataset}", tuple(own)) for (table, dataset), own in by_table.items())
+    return tuple(Block(f"{TABLES[table]} on {dataset}", tuple(values)) for (table, dataset), values in by_table.items())
 
 
 def count_words(entries: Sequence[Reproduction]) -> str:
@@ -290,17 +290,17 @@ def reproduction_csv(entries: Sequence[Reproduction]) -> str:
     """Return one line per value; this run's value, its bounds and its difference unrounded, empty if not measured."""
     rows = []
     for entry in entries:
-        ours = entry.ours
-        difference = None if ours.value is None else ours.value - float(entry.paper)
-        numbers = ["" if number is None else repr(number) for number in (ours.value, ours.low, ours.high, difference)]
+        cell = entry.ours
+        difference = None if cell.value is None else cell.value - float(entry.paper)
+        numbers = ["" if number is None else repr(number) for number in (cell.value, cell.low, cell.high, difference)]
         head = (entry.table, entry.dataset, entry.method, entry.metric, entry.unit, entry.paper)
         rows.append([*head, *numbers, entry.status, entry.why])
     return csv_text(CSV_HEAD, rows)
 
 
 def _words(title: str, line: Line) -> tuple[str, ...]:
-    ours = f"{line.ours.shown} {line.ours.spread}".strip()
-    return tuple(map(escape_markdown, (title, line.method, line.metric, line.paper, ours, line.status, line.why)))
+    value = f"{line.ours.shown} {line.ours.spread}".strip()
+    return tuple(map(escape_markdown, (title, line.method, line.metric, line.paper, value, line.status, line.why)))
 
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
@@ -328,8 +328,8 @@ def _table(entries: Sequence[Reproduction]) -> Table:
     rows: list[Row] = []
     best = [_best(published, at, column) for at, column in enumerate(columns)]
     for name, row in zip(methods, rank(columns, published, best), strict=True):
-        here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
-        rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, this run", here)]
+        cells = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
+        rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, this run", cells)]
     summary = count_words(entries)
     caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv has the reasons. Paper: {SOURCE}."
     return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper and this run", caption, columns, tuple(rows), dataset)

@@ -146,7 +146,7 @@ def _latex_head(tables: Sequence[Table]) -> str:
         "Bold: best, or not significantly worse.": any(cell.best for cell in cells),
         "Grey rows: published values, measured by others under other conditions.": any(row.kind == "published" for row in rows),
     }
-    return LATEX_HEAD % "".join(f"% {words}\n" for words, used in marks.items() if used)
+    return LATEX_HEAD % "".join(f"% {words}\n" for words, is_used in marks.items() if is_used)
 
 
 def escape_latex(text: str) -> str:
@@ -325,17 +325,17 @@ def _number_format(cell: Cell) -> str:
     sign = cell.text[0] if cell.text[0] in "+−" else ""
     before = f"{cell.bound} {sign}" if cell.bound else sign
     behind = "".join(f" {words}" for words in (cell.beside, cell.spread) if words)
-    whole = "#,##0" if "," in cell.text else "0"
-    number = f"{whole}.{'0' * decimals}" if decimals else whole
-    shown = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
-    return f"{shown};{shown}" if sign == "−" else shown  # in a separate part a negative number has no other sign
+    digits = "#,##0" if "," in cell.text else "0"
+    number = f"{digits}.{'0' * decimals}" if decimals else digits
+    pattern = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
+    return f"{pattern};{pattern}" if sign == "−" else pattern  # in a separate part a negative number has no other sign
 
 
-def _sheet_name(title: str, taken: Sequence[str]) -> str:
+def _sheet_name(title: str, names: Sequence[str]) -> str:
     """Return a name that Excel accepts and no other sheet has."""
     clean = re.sub(r"[\[\]:*?/\\']", "-", title).strip()[:LONGEST_NAME]
     count, name = 1, clean
-    while name.lower() in {other.lower() for other in taken}:
+    while name.lower() in {sheet.lower() for sheet in names}:
         count += 1
         name = f"{clean[: LONGEST_NAME - len(str(count)) - 1]} {count}"
     return name

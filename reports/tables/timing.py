@@ -42,11 +42,11 @@ def _stage_seconds(records: Sequence[dict[str, Any]], first: int) -> dict[str, l
     """Return the seconds of each stage and of their sum, frames `first`.. of all views in one list."""
     stages: dict[str, list[float]] = {}
     for record in records:
-        kept = {stage: values[first:] for stage, values in record.get("seconds", {}).items()}
-        for stage, values in kept.items():
+        stage_values = {stage: values[first:] for stage, values in record.get("seconds", {}).items()}
+        for stage, values in stage_values.items():
             stages.setdefault(stage, []).extend(values)
-        if kept:
-            stages.setdefault(TOTAL, []).extend(map(sum, zip(*kept.values(), strict=True)))
+        if stage_values:
+            stages.setdefault(TOTAL, []).extend(map(sum, zip(*stage_values.values(), strict=True)))
     return stages
 
 

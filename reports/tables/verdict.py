@@ -32,18 +32,18 @@ def judge_runs(runs: Sequence[MeasuredRun], results: Results) -> dict[str, Stand
     Reading:
         By SDT and SDV only methods within 1 dB of the best PSNR are ranked.
     """
-    own = frozenset().union(*(run.ours for run in runs))
+    own_labels = frozenset().union(*(run.ours for run in runs))
     captured = captured_values(shared_references(runs))
-    whole = without_labels(results, results.set_aside)
+    ranked_results = without_labels(results, results.set_aside)
     standings = {}
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
-        uneven = _not_comparable(whole, dataset)
+        uneven = _not_comparable(ranked_results, dataset)
         rankings = []
         for note in runs[0].metrics.values():
             reasons = uneven if note.name.partition("_")[0] in EVENNESS else {}
             reference = captured.get(note.name) if note.group == ALONG_PATH else None
             rankings.append(Ranking(note.name, note.higher_is_better, reference, reasons))
-        standings[dataset] = judge(results, rankings, dataset, own)
+        standings[dataset] = judge(results, rankings, dataset, own_labels)
     return standings
 
 
@@ -88,14 +88,14 @@ class Leader:
 def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
     """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured."""
     all_leaders = [leader for table in tables for leader in _leaders_of(table)]
-    chosen = tuple(leader for leader in all_leaders if leader.column.name in metrics)
-    return chosen or tuple(all_leaders[: len(tables[0].columns)] if tables else ())
+    headline_leaders = tuple(leader for leader in all_leaders if leader.column.name in metrics)
+    return headline_leaders or tuple(all_leaders[: len(tables[0].columns)] if tables else ())
 
 
 def _leaders_of(table: Table) -> list[Leader]:
     """Return one per column that ranks methods."""
     rows = {row.label: row for row in table.rows if row.label}
-    found = []
+    leaders_found = []
     for at, column in enumerate(table.columns):
         judgement = table.judgements.get(column.name)
         if judgement and judgement.best:
@@ -104,8 +104,8 @@ def _leaders_of(table: Table) -> list[Leader]:
             if method and method.outcome != "better":  # an ablation has the better number, maybe by chance
                 (short if method.outcome == "too short" else ties).insert(0, judgement.best)
             ties, short = ([rows[label].name for label in labels] for labels in (ties, short))
-            found.append(Leader(column, table.dataset, best.name, best.cells[at], tuple(ties), tuple(short), judgement))
-    return found
+            leaders_found.append(Leader(column, table.dataset, best.name, best.cells[at], tuple(ties), tuple(short), judgement))
+    return leaders_found
 
 
 def certainty_captions(
@@ -119,12 +119,14 @@ def certainty_captions(
         set_aside: labels of partial and faulty methods, which other sentences are about.
     """
     level = f"{100 * LEVEL:.0f} %"
-    bounded = [one for judgement in judgements.values() for one in judgement.intervals.values() if one.low is not None]
+    bounded = [
+        interval for judgement in judgements.values() for interval in judgement.intervals.values() if interval.low is not None
+    ]
     conditions = dict.fromkeys(f", given {', '.join(interval.conditions)}" for interval in bounded if interval.conditions)
-    given = "".join(conditions)
+    condition = "".join(conditions)
     brief = [f"±: {level} interval."] if bounded else []
-    captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []
-    captions += [SHORT_MEANS] if any(one.is_short for one in bounded) else []
+    captions = [f"Intervals are by the correlation over time that each clip allows{condition}."] if bounded else []
+    captions += [SHORT_MEANS] if any(interval.is_short for interval in bounded) else []
     if any(judgement.marked for judgement in judgements.values()):
         brief.append(f"Bold: best, or not significantly worse (paired, {level} for all methods and metrics together).")
     said: dict[tuple[str, str], list[str]] = defaultdict(list)  # beginning and end of a sentence -> what is between them
@@ -186,7 +188,7 @@ class Verdict:
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
         """Methods whose pictures represent a run: the best with GGVS (online), or with the runner-up if GGVS is the best."""
-        labels = [one.label for one in (*self.contenders, *self.parts) if one.label in run.pictured]
+        labels = [contender.label for contender in (*self.contenders, *self.parts) if contender.label in run.pictured]
         beside = [label for label in labels[1:] if label in run.ours] if labels and labels[0] not in run.ours else []
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
 
@@ -200,11 +202,13 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     """
     all_leaders, causes, remedies = leaders(tables), *_set_aside(runs, results)
     if not all_leaders:
-        nothing = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
-        causes = causes or nothing[:1] or ["no metric was measured; score the run"]
+        absences = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
+        causes = causes or absences[:1] or ["no metric was measured; score the run"]
         return Verdict(f"Nothing is ranked: {'; '.join(causes)}", " ".join(remedies))
-    first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
-    table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
+    first = min(
+        all_leaders, key=lambda leader: HEADLINES.index(leader.column.name) if leader.column.name in HEADLINES else len(HEADLINES)
+    )
+    table = next(candidate for candidate in tables if candidate.dataset == first.dataset and first.column in candidate.columns)
     judgement, at = first.judgement, table.columns.index(first.column)
     rows = {row.label: row for row in table.rows if row.label}
     sign = 1.0 if first.column.higher_is_better else -1.0
@@ -216,33 +220,35 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     for label in ranked:
         cell = rows[label].cells[at]
         worth = _worth(judgement.variants[label], decimals) if label in judgement.variants else ""
-        one = Contender(label, rows[label].name, cell, places.at(cell.value), places.span(cell), worth)
-        (parts if label in judgement.variants else contenders).append(one)
+        contender = Contender(label, rows[label].name, cell, places.at(cell.value), places.span(cell), worth)
+        (parts if label in judgement.variants else contenders).append(contender)
     headline, margin = _words(first, judgement, contenders, runs, results)
-    others: dict[str, list[str]] = {}
-    for each in all_leaders:
-        if each is not first and each.judgement.rivals and not {*judgement.rivals} & each.judgement.unranked.keys():
-            others.setdefault(each.name if each.judgement.winner else "", []).append(each.column.name)
-    tied = tuple(others.pop("", ()))
+    other_leaders: dict[str, list[str]] = {}
+    for leader in all_leaders:
+        if leader is not first and leader.judgement.rivals and not {*judgement.rivals} & leader.judgement.unranked.keys():
+            other_leaders.setdefault(leader.name if leader.judgement.winner else "", []).append(leader.column.name)
+    tied = tuple(other_leaders.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
     headline = " ".join(filter(None, [limit_by_cameras(runs), headline]))
     headline, margin = (
         "; ".join([headline, *causes, *_suspicions(runs, results)]),
         " ".join(filter(None, (f"{margin}.", *remedies))),
     )
-    return Verdict(headline, margin, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
+    return Verdict(headline, margin, first.column, meaning, tuple(contenders), tuple(parts), other_leaders, tied)
 
 
 def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str], list[str]]:
     """Return the methods that are not ranked, in words, and what to do about each."""
     names = {label: run.names.get(label, label) for run in runs for label in run.labels}
-    here = {label: results.set_aside[label] for label in names if label in results.set_aside}
-    faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
+    reasons = {label: results.set_aside[label] for label in names if label in results.set_aside}
+    faults = {fault.label: fault for fault in reversed(results.faults) if fault.is_certain}
     remedies: dict[str, list[str]] = {}  # what to do -> with which methods
-    for label in here:
+    for label in reasons:
         if todo := faults[label].remedy if label in faults else "Render the missing frames and score again.":
             remedies.setdefault(f"{todo[0].lower()}{todo[1:]}", []).append(names[label])
-    return [f"{names[label]} {why}" for label, why in here.items()], [f"{', '.join(of)}: {todo}" for todo, of in remedies.items()]
+    return [f"{names[label]} {why}" for label, why in reasons.items()], [
+        f"{', '.join(group)}: {todo}" for todo, group in remedies.items()
+    ]
 
 
 def _suspicions(runs: Sequence[MeasuredRun], results: Results) -> list[str]:
@@ -253,11 +259,11 @@ def _suspicions(runs: Sequence[MeasuredRun], results: Results) -> list[str]:
     return [f"{names[label]} {likely[label].words} (likely)" for label in ranked]
 
 
-def _worth(one: Comparison, decimals: int | None) -> str:
+def _worth(comparison: Comparison, decimals: int | None) -> str:
     """Difference of a variant to the method itself, with its interval if there is one."""
-    worth = signed(one.difference, decimals)
-    half = None if one.high is None else one.high - one.difference
-    return worth if half is None else f"{worth} {spread_text(one.difference, half, decimals, bool(one.short))}"
+    worth = signed(comparison.difference, decimals)
+    half = None if comparison.high is None else comparison.high - comparison.difference
+    return worth if half is None else f"{worth} {spread_text(comparison.difference, half, decimals, bool(comparison.short))}"
 
 
 def _words(
@@ -273,7 +279,9 @@ def _words(
             return f"Only {best.name} is ranked", f"{best.name} has {number}"
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
     tied = judgement.having("as good", "equal")
-    rival = next((one for one in contenders[1:] if one.label in (*tied, *judgement.having("too short"))), contenders[1])
+    rival = next(
+        (contender for contender in contenders[1:] if contender.label in (*tied, *judgement.having("too short"))), contenders[1]
+    )
     comparison = judgement.comparisons[rival.label]
     if comparison.outcome == "equal":
         return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"
@@ -298,8 +306,8 @@ def _interval(comparison: Comparison, higher_is_better: bool, decimals: int | No
     if comparison.low is None or comparison.high is None:
         return ""
     low, high = (-comparison.high, -comparison.low) if higher_is_better else (comparison.low, comparison.high)
-    shown = [format_value(bound, decimals).replace("-", "−") for bound in (low, high)]
-    return f" ({100 * LEVEL:.0f}\N{NO-BREAK SPACE}% interval {shown[0]} to {shown[1]}{unit})"
+    bounds = [format_value(bound, decimals).replace("-", "−") for bound in (low, high)]
+    return f" ({100 * LEVEL:.0f}\N{NO-BREAK SPACE}% interval {bounds[0]} to {bounds[1]}{unit})"
 
 
 class _Scale:

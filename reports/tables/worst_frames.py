@@ -16,13 +16,13 @@ Value = tuple[float, str, int]  # of a frame of a view
 
 def worst_frames_table(run: MeasuredRun) -> Table | None:
     """Return two columns for each metric of the paper's tables that has values per frame; None if there is none."""
-    found = {metric: values for metric in HEADLINES if metric in run.metrics and (values := _values(run, metric))}
-    if not found or len(run.frames) * len(run.protocol.views.test) < 2:
+    by_metric = {metric: values for metric in HEADLINES if metric in run.metrics and (values := _values(run, metric))}
+    if not by_metric or len(run.frames) * len(run.protocol.views.test) < 2:
         return None
-    columns = tuple(column for metric in found for column in _columns(run.metrics[metric]))
+    columns = tuple(column for metric in by_metric for column in _columns(run.metrics[metric]))
     rows = []
     for label in run.labels:
-        cells = [cell for metric, values in found.items() for cell in _cells(values.get(label, []), run.metrics[metric])]
+        cells = [cell for metric, values in by_metric.items() for cell in _cells(values.get(label, []), run.metrics[metric])]
         rows.append(run.row(label, cells))
     return Table("worst", "Worst frames", CAPTION, columns, rank(columns, rows), run.scene)
 
@@ -36,15 +36,15 @@ def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
             finite = [(value, view, frame) for frame, value in zip(frames, numbers, strict=True) if math.isfinite(value)]
             values.setdefault(label, []).extend(finite)
     sign = 1.0 if run.metrics[metric].higher_is_better else -1.0
-    return {label: sorted(own, key=lambda one: sign * one[0]) for label, own in values.items() if own}
+    return {label: sorted(series, key=lambda value: sign * value[0]) for label, series in values.items() if series}
 
 
 def _columns(note: MetricNote) -> tuple[Column, Column]:
     percentile = TAIL if note.higher_is_better else 100 - TAIL
-    told = f"{note.describe.rstrip('.')}, of {{}}."
+    text = f"{note.describe.rstrip('.')}, of {{}}."
     return (
-        Column(f"{note.name}, {percentile}th percentile", note.unit, note.higher_is_better, told.format("the worst twentieth")),
-        Column(f"{note.name}, worst frame", note.unit, note.higher_is_better, told.format("the worst frame")),
+        Column(f"{note.name}, {percentile}th percentile", note.unit, note.higher_is_better, text.format("the worst twentieth")),
+        Column(f"{note.name}, worst frame", note.unit, note.higher_is_better, text.format("the worst frame")),
     )
 
 
