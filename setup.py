@@ -9,27 +9,68 @@ from typing import Any
 
 KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
-    *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
+    *(
+        "core",
+        "splat",
+        "tsdf",
+        "occupancy",
+        "warp",
+        "dispatch",
+        "level_baseline",
+        "level_avx2",
+        "level_avx512",
+    ),
     *("images", "filter", "blend", "push_pull", "remember", "recur", "contested", "shade"),
     *("register", "compose", "outputs", "refine", "learned"),
-    *("convolve", "unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
+    *(
+        "convolve",
+        "unet",
+        "unet_bindings",
+        "memory",
+        "overview",
+        "network_inputs",
+        "ray_pooling",
+        "ray_pooling_bindings",
+    ),
 )
 GAUSSIANS = (
-    *("gaussian_bindings", "gaussian_splat", "gaussian_levels", "gaussian_baseline", "gaussian_avx2", "gaussian_avx512"),
+    *(
+        "gaussian_bindings",
+        "gaussian_splat",
+        "gaussian_levels",
+        "gaussian_baseline",
+        "gaussian_avx2",
+        "gaussian_avx512",
+    ),
     "memory",
 )
 DEFORMATION = (
-    *("deformation_bindings", "deformation", "deformation_baseline", "deformation_avx2", "deformation_avx512"),
+    *(
+        "deformation_bindings",
+        "deformation",
+        "deformation_baseline",
+        "deformation_avx2",
+        "deformation_avx512",
+    ),
     "memory",
 )
 STEREO = (
     *("stereo", "plane_sweep", "sgm", "block_match", "subpixel", "weighted_median", "edge_enlarge"),
     *("stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512"),
 )
-FEATURES = ("feature_bindings", "feature_maps", "feature_levels", "feature_baseline", "feature_avx2", "feature_avx512", "memory")
+FEATURES = (
+    "feature_bindings",
+    "feature_maps",
+    "feature_levels",
+    "feature_baseline",
+    "feature_avx2",
+    "feature_avx512",
+    "memory",
+)
 
-# No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
-# No contraction to fused multiply-adds: then every instruction set gives the same bits.
+# No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel
+# serves every machine. No contraction to fused multiply-adds: then every instruction set gives the
+# same bits.
 FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra", "-pthread")
 
 
@@ -54,7 +95,9 @@ def sources_of(name: str) -> list[Path]:
         file = waiting.pop()
         if file not in found:
             found.add(file)
-            waiting += [KERNELS / header for header in INCLUDED.findall(file.read_text(encoding="utf-8"))]
+            waiting += [
+                KERNELS / header for header in INCLUDED.findall(file.read_text(encoding="utf-8"))
+            ]
     return sorted(found)
 
 
@@ -65,7 +108,9 @@ def digest_sources(name: str) -> str:
 
 
 def extension(name: str) -> Any:
-    """One extension module, which carries the hash of its sources and is rebuilt when one of them changes."""
+    """One extension module, which carries the hash of its sources and is rebuilt when one of them
+    changes.
+    """
     from pybind11.setup_helpers import Pybind11Extension
 
     return Pybind11Extension(
@@ -86,7 +131,9 @@ def main() -> None:
     from setuptools.command.build_ext import build_ext
 
     class BuildKernels(build_ext):
-        """Compiles a module, unless one of the same sources lies in the folder GGVS_EVAL_BUILT: the wheel test waits for none."""
+        """Compiles a module, unless one of the same sources lies in the folder GGVS_EVAL_BUILT: the
+        wheel test waits for none.
+        """
 
         def build_extension(self, ext: Any) -> None:
             """See `build_ext`."""
@@ -100,7 +147,9 @@ def main() -> None:
                 super().build_extension(ext)
 
     ParallelCompile("GGVS_EVAL_BUILD_JOBS").install()
-    setup(ext_modules=[extension(name) for name in EXTENSIONS], cmdclass={"build_ext": BuildKernels})
+    setup(
+        ext_modules=[extension(name) for name in EXTENSIONS], cmdclass={"build_ext": BuildKernels}
+    )
 
 
 if __name__ == "__main__":  # tests read the sources of the modules without building them

@@ -9,7 +9,8 @@ FULL = "full"  # the authors' configuration; a file of weights that names none i
 
 @dataclass(frozen=True)
 class LearnedBaseline:
-    """A network that the paper's is compared with: all that the package knows of it outside its folder.
+    """A network that the paper's is compared with: all that the package knows of it outside its
+    folder.
 
     The class is named by ``module:class``, so that a list of baselines loads no network.
 
@@ -20,7 +21,8 @@ class LearnedBaseline:
         checkpoint: the authors' file that it can render with.
         method: class of its `Method`; takes the file of weights and ``device`` besides `options`.
         describe: one line for the help and the report.
-        retrained: configuration of the weights that ship; empty if the user has to give a checkpoint.
+        retrained: configuration of the weights that ship; empty if the user has to give a
+            checkpoint.
         options: arguments of the method.
         uses_depth: whether it looks at the depth of its sources.
         takes_depth: whether it learns from sources with depth; without, no sample waits for depth.

@@ -1,4 +1,6 @@
-"""Samples along rays in the networks of several baselines: how much each is seen, and from where."""
+"""Samples along rays in the networks of several baselines: how much each is seen, and from
+where.
+"""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,7 @@
-"""View interpolation: two neighbours warped towards each other by optical flow; no depth, no learning, no scene."""
+"""View interpolation: two neighbours warped towards each other by optical flow.
+
+No depth, no learning, no scene.
+"""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -14,22 +17,26 @@ from ggvs_eval.geometry.source_views import turn_rad
 from ggvs_eval.method import Instant, Rendering, SourceView
 
 LARGEST_OFFSET = 0.2  # of the target from the line between two cameras, baselines
-LARGEST_TURN_RAD = np.pi / 4  # of a source's viewing direction from the target's; farther off little of it is seen
+# of a source's viewing direction from the target's; farther off little of it is seen
+LARGEST_TURN_RAD = np.pi / 4
 ON_THE_LINE = 1e-9  # baselines by which a target may overshoot the segment
 
 
 class ViewInterpolation:
-    """The flow-warped mean of two neighbours, as frame interpolators see a row of cameras; nothing is remembered.
+    """The flow-warped mean of two neighbours, as frame interpolators see a row of cameras.
+
+    Nothing is remembered.
 
     Reading:
-        *Between*: the foot of the target's centre on the line through two sources' centres is between these, and the centre is
-        at most a fifth of their baseline away from it. Neighbours in a row are up to 0.12 away, on real rigs and on the demo's,
-        and cameras of other rows 0.28 and more. Of several such pairs the nearest is taken, by the sum of distances to the
-        target. A target between no two sources is refused.
-        Both images are first turned to the target's direction and lens, which needs no depth. What is left is parallax: on the
-        line, points move in proportion to the way.
-        Flow at the target is the mixture of both directions' flows of Super SloMo (Jiang et al., CVPR 2018, equation 4); flow is
-        OpenCV's dense inverse search (Kroeger et al., ECCV 2016, preset medium). The mean is weighted by nearness, and what one
+        *Between*: the foot of the target's centre on the line through two sources' centres is
+        between these, and the centre is at most a fifth of their baseline away from it. Neighbours
+        in a row are up to 0.12 away, on real rigs and on the demo's, and cameras of other rows 0.28
+        and more. Of several such pairs the nearest is taken, by the sum of distances to the target.
+        A target between no two sources is refused. Both images are first turned to the target's
+        direction and lens, which needs no depth. What is left is parallax: on the line, points move
+        in proportion to the way. Flow at the target is the mixture of both directions' flows of
+        Super SloMo (Jiang et al., CVPR 2018, equation 4); flow is OpenCV's dense inverse search
+        (Kroeger et al., ECCV 2016, preset medium). The mean is weighted by nearness, and what one
         image does not reach comes from the other alone.
     """
 
@@ -40,26 +47,41 @@ class ViewInterpolation:
             ViewRefusedError: the target is between no two of the sources.
         """
         started = perf_counter()
-        first, second, share = choose_pair(instant.target, [source.camera for source in instant.sources])
-        images, masks = zip(*(turn_towards(instant.target, instant.sources[k]) for k in (first, second)), strict=True)
+        first, second, share = choose_pair(
+            instant.target, [source.camera for source in instant.sources]
+        )
+        images, masks = zip(
+            *(turn_towards(instant.target, instant.sources[k]) for k in (first, second)),
+            strict=True,
+        )
         forward, back = flow(images[0], images[1]), flow(images[1], images[0])
         flowed = perf_counter()
         to_first = share**2 * back - (1 - share) * share * forward
         to_second = (1 - share) ** 2 * forward - share * (1 - share) * back
-        warped = [_pull(values, to) for values, to in zip(images, (to_first, to_second), strict=True)]
+        warped = [
+            _pull(values, to) for values, to in zip(images, (to_first, to_second), strict=True)
+        ]
         weights = [
-            nearness * np.maximum(_pull(reached, to, cv2.BORDER_CONSTANT), np.float32(1e-6))[..., None]
-            for nearness, reached, to in zip((1 - share, share), masks, (to_first, to_second), strict=True)
+            nearness
+            * np.maximum(_pull(reached, to, cv2.BORDER_CONSTANT), np.float32(1e-6))[..., None]
+            for nearness, reached, to in zip(
+                (1 - share, share), masks, (to_first, to_second), strict=True
+            )
         ]
         image = (weights[0] * warped[0] + weights[1] * warped[1]) / (weights[0] + weights[1]) / 255
-        return Rendering(image.astype(np.float32), None, {"flow": flowed - started, "blend": perf_counter() - flowed})
+        return Rendering(
+            image.astype(np.float32),
+            None,
+            {"flow": flowed - started, "blend": perf_counter() - flowed},
+        )
 
 
 def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, float]:
     """Return the nearest two cameras on both sides of a target.
 
     Returns:
-        Their indices, nearest first, and how far the target is on its way from the first to the second, in [0, 1].
+        Their indices, nearest first, and how far the target is on its way from the first to the
+        second, in [0, 1].
 
     Raises:
         ViewRefusedError: there are no such two.
@@ -68,7 +90,15 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
         >>> def at(x):
         ...     world_to_camera = np.eye(4)
         ...     world_to_camera[0, 3] = -x
-        ...     return Camera("cam", np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]), world_to_camera, 8, 6, near=1.0, far=9.0)
+        ...     return Camera(
+        ...         "cam",
+        ...         np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]),
+        ...         world_to_camera,
+        ...         8,
+        ...         6,
+        ...         near=1.0,
+        ...         far=9.0,
+        ...     )
         >>> choose_pair(at(0.25), [at(0.0), at(1.0)])
         (0, 1, 0.25)
     """
@@ -81,7 +111,11 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
         share = float((target.centre - a) @ (b - a)) / baseline**2
         offset = float(np.linalg.norm(target.centre - a - share * (b - a))) / baseline
         turns = [turn_rad(cameras[index], target) for index in (first, second)]
-        if -ON_THE_LINE <= share <= 1 + ON_THE_LINE and offset <= LARGEST_OFFSET and max(turns) <= LARGEST_TURN_RAD:
+        if (
+            -ON_THE_LINE <= share <= 1 + ON_THE_LINE
+            and offset <= LARGEST_OFFSET
+            and max(turns) <= LARGEST_TURN_RAD
+        ):
             distance = sum(float(np.linalg.norm(end - target.centre)) for end in (a, b))
             pairs.append((distance, first, second, min(max(share, 0.0), 1.0)))
     if not pairs:
@@ -95,18 +129,28 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
     Outside the source's image the border is repeated, so that flow finds no edge of black.
     """
-    to_target = target.K_opencv @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(source.camera.K_opencv)
+    to_target = (
+        target.K_opencv
+        @ target.rotation
+        @ source.camera.rotation.T
+        @ np.linalg.inv(source.camera.K_opencv)
+    )
     size = target.width, target.height
-    turned = cv2.warpPerspective(source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    turned = cv2.warpPerspective(
+        source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
     mask = np.ones(source.image.shape[:2], np.float32)
-    return np.asarray(turned), np.asarray(cv2.warpPerspective(mask, to_target, size, flags=cv2.INTER_LINEAR))
+    return np.asarray(turned), np.asarray(
+        cv2.warpPerspective(mask, to_target, size, flags=cv2.INTER_LINEAR)
+    )
 
 
 def flow(first: Image8, second: Image8) -> Map:
     """Return the displacement of each pixel of an image to another, (H, W, 2).
 
     Reading:
-        OpenCV searches in stripes, one per thread, so that the number of threads would move bits: here it is one.
+        OpenCV searches in stripes, one per thread, so that the number of threads would move bits:
+        here it is one.
     """
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)

@@ -1,4 +1,7 @@
-"""``make bench``: every benchmark of this folder, printed and written to out/bench.json; ``... PART PART``: some."""
+"""``make bench``: every benchmark of this folder, printed and written to out/bench.json; ``...
+
+PART PART``: some.
+"""
 
 import argparse
 from collections.abc import Sequence
@@ -39,19 +42,36 @@ PARTS = {
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Measure all or some parts; one line per figure. Figures of parts that are not measured stay in the file."""
+    """Measure all or some parts; one line per figure.
+
+    Figures of parts that are not measured stay in the file.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all by default")
-    parser.add_argument("--json", type=Path, default=Path("out/bench.json"), help="file of the figures")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all by default"
+    )
+    parser.add_argument(
+        "--json", type=Path, default=Path("out/bench.json"), help="file of the figures"
+    )
     arguments = parser.parse_args(words)
     if unknown := sorted(set(arguments.parts) - PARTS.keys()):
-        parser.error(f"wanted parts of {', '.join(PARTS)}, got {', '.join(unknown)}; correct the name")
-    figures = {name: figure for part in arguments.parts or PARTS for name, figure in PARTS[part]().items()}
+        parser.error(
+            f"wanted parts of {', '.join(PARTS)}, got {', '.join(unknown)}; correct the name"
+        )
+    figures = {
+        name: figure for part in arguments.parts or PARTS for name, figure in PARTS[part]().items()
+    }
     for name, figure in figures.items():
-        peer = f"  {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}" if figure.get("peer") else ""
+        peer = (
+            f"  {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}"
+            if figure.get("peer")
+            else ""
+        )
         target = f"  (target {figure['target']:g})" if figure.get("target") is not None else ""
         print(f"{name}: {figure['value']:.4g} {figure['unit']}{target}{peer}")
-    write_json(arguments.json, (read_json(arguments.json) if arguments.json.is_file() else {}) | figures)
+    write_json(
+        arguments.json, (read_json(arguments.json) if arguments.json.is_file() else {}) | figures
+    )
 
 
 if __name__ == "__main__":

@@ -24,12 +24,17 @@ Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Return the seconds that IBRNet, compact, needs for a 480x360 picture from four views, from a strip of its rays."""
+    """Return the seconds that IBRNet, compact, needs for a 480x360 picture from four views, from a
+    strip of its rays.
+    """
     compiled = load_ibrnet(shipped("ibrnet.safetensors"))
-    of_torch = copy.deepcopy(compiled).requires_grad_(True)  # gradients are what the compiled network has not
+    # gradients are what the compiled network has not
+    of_torch = copy.deepcopy(compiled).requires_grad_(True)
     instant = _instant()
     centre = torch.from_numpy(instant.target.centre).float()
-    rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[: WIDTH * HEIGHT // 2 + RAYS][-RAYS:]).float()
+    rays = torch.from_numpy(
+        instant.target.rays().reshape(-1, 3)[: WIDTH * HEIGHT // 2 + RAYS][-RAYS:]
+    ).float()
     seconds = {"compiled": np.inf, "torch": np.inf}
     with one_thread():
         with torch.no_grad():
@@ -38,8 +43,14 @@ def measure() -> dict[str, Figure]:
             for name, networks in (("compiled", compiled), ("torch", of_torch)):
                 begun_s = time.perf_counter()
                 render_rays(networks, views, centre, rays, *depth_range(instant))
-                seconds[name] = min(seconds[name], (time.perf_counter() - begun_s) * WIDTH * HEIGHT / RAYS)
-    peer = {"peer": "torch, with gradients", "peer_value": seconds["torch"], "ratio": seconds["torch"] / seconds["compiled"]}
+                seconds[name] = min(
+                    seconds[name], (time.perf_counter() - begun_s) * WIDTH * HEIGHT / RAYS
+                )
+    peer = {
+        "peer": "torch, with gradients",
+        "peer_value": seconds["torch"],
+        "ratio": seconds["torch"] / seconds["compiled"],
+    }
     figure = {"value": seconds["compiled"], "unit": "s", "higher_is_better": False}
     return {"baselines.ibrnet_480x360_s": figure | peer}
 
@@ -56,7 +67,10 @@ def _instant() -> Instant:
         cameras.append(Camera(f"cam{number}", intrinsics, pose, WIDTH, HEIGHT, NEAR, FAR))
     target = cameras.pop(K // 2)
     unknown = np.zeros((HEIGHT, WIDTH), np.float32)
-    sources = [SourceView(each, rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8), unknown, unknown) for each in cameras]
+    sources = [
+        SourceView(each, rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8), unknown, unknown)
+        for each in cameras
+    ]
     return Instant(0, target, tuple(sources), 1.0)
 
 

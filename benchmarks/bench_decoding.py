@@ -24,9 +24,13 @@ Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Return name -> figure: milliseconds per frame, and how much more memory ten times the frames take."""
+    """Return name -> figure: milliseconds per frame, and how much more memory ten times the frames
+    take.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        large, short, long = (Path(folder) / name for name in ("large.mp4", "short.mp4", "long.mp4"))
+        large, short, long = (
+            Path(folder) / name for name in ("large.mp4", "short.mp4", "long.mp4")
+        )
         _film(large, 24, WIDTH, HEIGHT)
         _film(short, SHORT, WIDTH // 2, HEIGHT // 2)
         _film(long, LONG, WIDTH // 2, HEIGHT // 2)
@@ -35,19 +39,29 @@ def measure() -> dict[str, Figure]:
         resize_ms = _resize_ms()
     return {
         "decoding.frame_2704x2028_ms": _figure(ours_ms, "ms")
-        | {"peer": "OpenCV VideoCapture (converts with rounding errors)", "peer_value": peer_ms, "ratio": peer_ms / ours_ms},
+        | {
+            "peer": "OpenCV VideoCapture (converts with rounding errors)",
+            "peer_value": peer_ms,
+            "ratio": peer_ms / ours_ms,
+        },
         "decoding.lanczos_to_1352x1014_ms": _figure(resize_ms, "ms"),
         f"decoding.peak_memory_{SHORT}_frames_mb": _figure(peaks_mb[short], "MB"),
         f"decoding.peak_memory_{LONG}_frames_mb": _figure(peaks_mb[long], "MB"),
-        "decoding.memory_per_further_frame_mb": _figure((peaks_mb[long] - peaks_mb[short]) / (LONG - SHORT), "MB", 0.02),
+        "decoding.memory_per_further_frame_mb": _figure(
+            (peaks_mb[long] - peaks_mb[short]) / (LONG - SHORT), "MB", 0.02
+        ),
     }
 
 
 def _film(path: Path, n_frames: int, width: int, height: int) -> None:
     """A photograph-like texture that moves by four pixels per frame."""
     rng = np.random.default_rng(0)
-    texture = cv2.resize(rng.integers(0, 255, (height // 8, width // 8, 3)).astype(np.uint8), (width, height))
-    write_video(path, (np.roll(texture, 4 * index, axis=1) for index in range(n_frames)), 30.0, crf=18)
+    texture = cv2.resize(
+        rng.integers(0, 255, (height // 8, width // 8, 3)).astype(np.uint8), (width, height)
+    )
+    write_video(
+        path, (np.roll(texture, 4 * index, axis=1) for index in range(n_frames)), 30.0, crf=18
+    )
 
 
 def _decode_ms(path: Path, n_frames: int) -> float:
@@ -79,7 +93,13 @@ def _peak_mb(path: Path) -> float:
 
 
 def _figure(value: float, unit: str, target: float | None = None) -> Figure:
-    return {"value": value, "unit": unit, "target": target, "higher_is_better": False, "command": COMMAND}
+    return {
+        "value": value,
+        "unit": unit,
+        "target": target,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
 
 
 if __name__ == "__main__":
@@ -88,7 +108,21 @@ if __name__ == "__main__":
         checksum = sum(int(image[0, 0, 0]) for image in video.frames(0, video.n_frames))
         # Not ru_maxrss, which starts from what the calling process had.
         status = Path("/proc/self/status").read_text(encoding="ascii")
-        print(next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM")))
+        print(
+            next(
+                int(line.split()[1]) / 1024
+                for line in status.splitlines()
+                if line.startswith("VmHWM")
+            )
+        )
     else:
         for name, figure in measure().items():
-            print(name, *(f"{key}={value}" for key, value in figure.items() if value not in (None, COMMAND)), sep="  ")
+            print(
+                name,
+                *(
+                    f"{key}={value}"
+                    for key, value in figure.items()
+                    if value not in (None, COMMAND)
+                ),
+                sep="  ",
+            )

@@ -1,8 +1,10 @@
-"""Seconds and memory of one depth map at 1345 x 1008 from four partners on two cores: ``python -m benchmarks.bench_depth``.
+"""Seconds and memory of one depth map at 1345 x 1008 from four partners on two cores: ``python -m
+benchmarks.bench_depth``.
 
-Each matcher runs in a separate process, one after another, on the same pictures: a floor, a wall and a box before it, painted
-with noise of two scales, seen by five cameras as far apart and as far from the scene as those of a real rig. With ``rig`` behind
-it, only what `play` and `view` wait for is measured: the depth of all five cameras, by two processes.
+Each matcher runs in a separate process, one after another, on the same pictures: a floor, a wall
+and a box before it, painted with noise of two scales, seen by five cameras as far apart and as far
+from the scene as those of a real rig. With ``rig`` behind it, only what `play` and `view` wait for
+is measured: the depth of all five cameras, by two processes.
 """
 
 import json
@@ -36,7 +38,8 @@ from ggvs_eval.raft_config import PUBLISHED
 
 COMMAND = "python -m benchmarks.bench_depth"
 WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0
-PLACES = ((0.0, 0.0), (-1.1, 0.0), (1.1, 0.0), (-2.2, 0.0), (0.0, 2.75))  # of the camera and its partners, world units
+# of the camera and its partners, world units
+PLACES = ((0.0, 0.0), (-1.1, 0.0), (1.1, 0.0), (-2.2, 0.0), (0.0, 2.75))
 WALL, FLOOR, BOX, BOX_HALF = 20.0, 6.0, 11.0, 2.5
 CORES, MAX_RUNS, ENOUGH_S = 2, 3, 60.0
 RIG_INSTANTS = 2, 6  # each process takes half of them
@@ -54,13 +57,18 @@ MATCHERS: Mapping[str, Options] = {
 
 
 def measure_networks() -> dict[str, Figure]:
-    """Seconds of one pass over one pair at half size: the compact network against the authors' default, whose weights are random.
+    """Seconds of one pass over one pair at half size: the compact network against the authors'
+    default, whose weights are random.
 
-    Random weights take as long as trained ones; each network makes the iterations that it is made for.
+    Random weights take as long as trained ones; each network makes the iterations that it is made
+    for.
     """
     camera, partner = (camera_at(*place) for place in PLACES[:2])
     texture, size = make_texture(), (WIDTH // 2, HEIGHT // 2)
-    left, right = (cv2.resize(look(each, texture), size, interpolation=cv2.INTER_AREA) for each in (camera, partner))
+    left, right = (
+        cv2.resize(look(each, texture), size, interpolation=cv2.INTER_AREA)
+        for each in (camera, partner)
+    )
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         torch.manual_seed(0)
@@ -80,15 +88,18 @@ def measure_networks() -> dict[str, Figure]:
         "command": COMMAND,
     }
     return {
-        "depth.network_seconds.raft": entry | {"peer": "published default", "peer_value": default, "ratio": default / compact}
+        "depth.network_seconds.raft": entry
+        | {"peer": "published default", "peer_value": default, "ratio": default / compact}
     }
 
 
 def measure_rig() -> dict[str, Figure]:
-    """Seconds a map of a rig of five cameras, each matched with the four others, as two processes fill a store with them.
+    """Seconds a map of a rig of five cameras, each matched with the four others, as two processes
+    fill a store with them.
 
-    What six instants take less what two take: processes start and pairs are rectified once, however long the capture is. The
-    processors' seconds say the same of a machine that has other work to do.
+    What six instants take less what two take: processes start and pairs are rectified once, however
+    long the capture is. The processors' seconds say the same of a machine that has other work to
+    do.
     """
     values_of = {}
     with tempfile.TemporaryDirectory() as root:
@@ -100,23 +111,33 @@ def measure_rig() -> dict[str, Figure]:
                 store, start = DepthStore(Path(root) / f"{name}{instants}"), _clocks()
                 prepare_depth(capture, jobs, range(instants), store, options, CORES)
                 times.append(_clocks() - start)
-            values_of[name] = (times[1] - times[0]) / (len(jobs) * (RIG_INSTANTS[1] - RIG_INSTANTS[0]))
+            values_of[name] = (times[1] - times[0]) / (
+                len(jobs) * (RIG_INSTANTS[1] - RIG_INSTANTS[0])
+            )
     figures = {}
-    for number, (measured, unit) in enumerate((("rig_seconds", "s a map"), ("rig_cpu_seconds", "CPU s a map"))):
+    for number, (measured, unit) in enumerate(
+        (("rig_seconds", "s a map"), ("rig_cpu_seconds", "CPU s a map"))
+    ):
         for name, values in values_of.items():
-            figures[f"depth.{measured}.{name}"] = _figure(name, float(values[number]), unit, float(values_of[PEER][number]))
+            figures[f"depth.{measured}.{name}"] = _figure(
+                name, float(values[number]), unit, float(values_of[PEER][number])
+            )
     figures["depth.rig_seconds.live"]["target"] = LIVE_TARGET_S
     return figures
 
 
 def _clocks() -> NDArray[np.float64]:
-    """Return the seconds on the wall, and those of processors in this process and in those that it has ended."""
+    """Return the seconds on the wall, and those of processors in this process and in those that it
+    has ended.
+    """
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return np.array([time.perf_counter(), sum(each.ru_utime + each.ru_stime for each in used)])
 
 
 def write_rig(folder: Path, n_frames: int) -> Capture:
-    """Return the scene as all five cameras see it, the same at every instant, as folders of images."""
+    """Return the scene as all five cameras see it, the same at every instant, as folders of
+    images.
+    """
     texture, cameras = make_texture(), tuple(camera_at(*place) for place in PLACES)
     for camera in cameras:
         image = look(camera, texture)
@@ -127,29 +148,50 @@ def write_rig(folder: Path, n_frames: int) -> Capture:
 
 
 def measure() -> dict[str, Figure]:
-    """Return name -> figure; a matcher that fails, as one without weights does, is named and left out."""
+    """Return name -> figure.
+
+    A matcher that fails, as one without weights does, is named and left out.
+    """
     values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
     figures = measure_networks() | measure_rig()
     for name, values in values_of.items():
         for measured, unit in (("seconds", "s per depth map"), ("memory_mb", "MB at most")):
-            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, values_of.get(PEER, {}).get(measured))
+            figures[f"depth.{measured}.{name}"] = _figure(
+                name, values[measured], unit, values_of.get(PEER, {}).get(measured)
+            )
     return figures
 
 
 def _figure(name: str, value: float, unit: str, peer_value: float | None) -> Figure:
-    entry: Figure = {"value": value, "unit": unit, "target": None, "higher_is_better": False, "command": COMMAND}
+    entry: Figure = {
+        "value": value,
+        "unit": unit,
+        "target": None,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
     if name == PEER or peer_value is None:
         return entry
     return entry | {"peer": PEER, "peer_value": peer_value, "ratio": peer_value / value}
 
 
 def _in_a_child(name: str) -> dict[str, float] | None:
-    """Run `_measure_here` in a process with two threads and return what it prints; None if it fails."""
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GGVS_EVAL_THREADS"), str(CORES))
+    """Run `_measure_here` in a process with two threads and return what it prints.
+
+    None if it fails.
+    """
+    threads = dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GGVS_EVAL_THREADS"),
+        str(CORES),
+    )
     command = [sys.executable, "-m", "benchmarks.bench_depth", name]
-    done = subprocess.run(command, env=os.environ | threads, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=os.environ | threads, capture_output=True, text=True, check=False
+    )
     if done.returncode:
-        reason = (done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"])[-1]
+        reason = (
+            done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"]
+        )[-1]
         print(f"depth.{name} is left out: {reason}", file=sys.stderr)
         return None
     values: dict[str, float] = json.loads(done.stdout.strip().splitlines()[-1])
@@ -157,14 +199,17 @@ def _in_a_child(name: str) -> dict[str, float] | None:
 
 
 def _measure_here(name: str) -> dict[str, float]:
-    """Fastest of some calls, and the most memory that this process then held, libraries, weights and pictures included."""
+    """Fastest of some calls, and the most memory that this process then held, libraries, weights
+    and pictures included.
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     cv2.setNumThreads(CORES)
     camera, *partners = cameras = [camera_at(*place) for place in PLACES]
     texture = make_texture()
     image, *partner_images = [look(each, texture) for each in cameras]
-    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # painting the scene does not count
+    # painting the scene does not count
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     estimator = DepthEstimator(camera, partners, MATCHERS[name]())
     times: list[float] = []
     while not times or (len(times) < MAX_RUNS and sum(times) < ENOUGH_S):
@@ -175,13 +220,20 @@ def _measure_here(name: str) -> dict[str, float]:
 
 
 def _peak_mb() -> float:
-    """Largest resident size since the mark was reset; Linux only. ru_maxrss cannot be reset and starts from the parent's."""
+    """Largest resident size since the mark was reset; Linux only.
+
+    Ru_maxrss cannot be reset and starts from the parent's.
+    """
     status = Path("/proc/self/status").read_text(encoding="ascii")
-    return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM"))
+    return next(
+        int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM")
+    )
 
 
 def camera_at(x: float, y: float) -> Camera:
-    """Return a camera at (x, y, 0) that looks along z, turned a little towards the middle of the scene."""
+    """Return a camera at (x, y, 0) that looks along z, turned a little towards the middle of the
+    scene.
+    """
     turned, _ = cv2.Rodrigues(np.array([y, -x, 0.0]) * (0.5 / BOX))
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = turned, -turned @ [x, y, 0.0]
@@ -190,11 +242,15 @@ def camera_at(x: float, y: float) -> Camera:
 
 
 def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
-    """Render the view of a camera, RGB, (H, W, 3); texture depends on x + z and y + z, which no surface is parallel to."""
+    """Render the view of a camera, RGB, (H, W, 3).
+
+    Texture depends on x + z and y + z, which no surface is parallel to.
+    """
     rays, centre = camera.rays(), camera.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = (FLOOR - centre[1]) / rays[..., 1]
-    depth = np.minimum((WALL - centre[2]) / rays[..., 2], np.where(floor > 0, floor, np.inf))  # (H, W)
+    # (H, W)
+    depth = np.minimum((WALL - centre[2]) / rays[..., 2], np.where(floor > 0, floor, np.inf))
     box = (BOX - centre[2]) / rays[..., 2]
     on_box = centre + box[..., None] * rays
     depth = np.where((np.abs(on_box[..., :2]) < BOX_HALF).all(axis=-1), box, depth)

@@ -1,7 +1,9 @@
-"""Seconds per frame of networks on the CPU and on a GPU: ``python -m benchmarks.bench_device --device cuda``.
+"""Seconds per frame of networks on the CPU and on a GPU: ``python -m benchmarks.bench_device
+--device cuda``.
 
-Both are timed in one run, on frames of the same curved wall before cameras in a row: medians after warm-up, the whole step with
-uploads and downloads. The last column is the difference of the pictures. IBRNet on the CPU sees a quarter of the pixels.
+Both are timed in one run, on frames of the same curved wall before cameras in a row: medians after
+warm-up, the whole step with uploads and downloads. The last column is the difference of the
+pictures. IBRNet on the CPU sees a quarter of the pixels.
 """
 
 import argparse
@@ -62,7 +64,9 @@ Figure = dict[str, Any]
 
 
 def measure(device: str, trials: Sequence[Trial] = TRIALS) -> list[Figure]:
-    """Return the figures of every trial, each printed as it comes; the picture of a first instant is compared.
+    """Return the figures of every trial, each printed as it comes.
+
+    The picture of a first instant is compared.
 
     Args:
         device: to compare with the CPU, see `compute_device`.
@@ -76,17 +80,24 @@ def measure(device: str, trials: Sequence[Trial] = TRIALS) -> list[Figure]:
 
 
 def _figure(trial: Trial, device: str) -> Figure:
-    """Return the seconds per frame and per stage on both, and the share of pixels that differ by more than two levels."""
+    """Return the seconds per frame and per stage on both, and the share of pixels that differ by
+    more than two levels.
+    """
     instants = scene(*trial.size)
     figure: Figure = {"label": trial.label, "width": trial.size[0], "height": trial.size[1]}
     images: dict[str, Map] = {}
-    for place, name, warm_up, frames in (("cpu", "cpu", 1, trial.cpu_frames), ("device", device, 3, trial.frames)):
+    for place, name, warm_up, frames in (
+        ("cpu", "cpu", 1, trial.cpu_frames),
+        ("device", device, 3, trial.frames),
+    ):
         if frames:
             method = find_method(trial.label, NetworkOptions(device=name)).make()
             timed = partial(_timed, method, instants)
             images[place], _ = timed(0)
             rows = [timed(index)[1] for index in range(1, warm_up + frames)][warm_up - 1 :]
-            figure[place] = {stage: float(np.median([row[stage] for row in rows])) for stage in rows[0]}
+            figure[place] = {
+                stage: float(np.median([row[stage] for row in rows])) for stage in rows[0]
+            }
     if len(images) == 2:
         off = np.abs(images["device"] - images["cpu"]).max(axis=-1)
         figure["differing_share"] = float((off > FAR_OFF_LEVELS / 255).mean())
@@ -96,7 +107,12 @@ def _figure(trial: Trial, device: str) -> Figure:
 
 def _timed(method: Method, instants: Sequence[Instant], index: int) -> tuple[Map, dict[str, float]]:
     """Return the picture of a frame, and the seconds of its stages and of the whole."""
-    instant = Instant(index, instants[0].target, instants[index % len(instants)].sources, instants[0].units_per_metre)
+    instant = Instant(
+        index,
+        instants[0].target,
+        instants[index % len(instants)].sources,
+        instants[0].units_per_metre,
+    )
     begun_s = perf_counter()
     rendering = method.step(instant)
     return rendering.image, {**rendering.seconds, "whole": perf_counter() - begun_s}
@@ -107,10 +123,15 @@ def _line(figure: Figure) -> str:
     parts = [f"{title:34s}"]
     for place in ("cpu", "device"):
         if place in figure:
-            stages = " ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in figure[place].items())
+            stages = " ".join(
+                f"{stage} {1e3 * seconds:.1f}" for stage, seconds in figure[place].items()
+            )
             parts.append(f"{place} ms: {stages}")
     if "ratio" in figure:
-        parts.append(f"{figure['ratio']:.2f} times as fast, {figure['differing_share']:.3%} of the pixels differ")
+        parts.append(
+            f"{figure['ratio']:.2f} times as fast, {figure['differing_share']:.3%} of the pixels "
+            f"differ"
+        )
     return " | ".join(parts)
 
 
@@ -131,7 +152,9 @@ def scene(width: int, height: int) -> list[Instant]:
 
 
 def _camera(number: int, width: int, height: int) -> Camera:
-    """One of a slanted row, all looking along z: no source's border falls onto the target's, where rounding would decide."""
+    """One of a slanted row, all looking along z: no source's border falls onto the target's, where
+    rounding would decide.
+    """
     focal, pose = 0.9 * width, np.eye(4)
     pose[:2, 3] = -BASELINE_M * (number - K / 2), 0.013 * number
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
@@ -139,7 +162,9 @@ def _camera(number: int, width: int, height: int) -> Camera:
 
 
 def _look(camera: Camera) -> tuple[Image8, Map]:
-    """Return the image and depth of the inside of a sphere around the world's origin, painted with waves."""
+    """Return the image and depth of the inside of a sphere around the world's origin, painted with
+    waves.
+    """
     rays, centre = camera.rays(), camera.centre
     square, half = (rays**2).sum(axis=-1), rays @ centre
     depth = (np.sqrt(half**2 + square * (RADIUS_M**2 - centre @ centre)) - half) / square
@@ -155,17 +180,26 @@ def _noisy(image: Image8, random: np.random.Generator) -> Image8:
 
 def main() -> None:
     """Print a line per trial; everything as JSON where a file is named."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--device", default="auto", help="cpu, cuda, cuda:N or auto")
     parser.add_argument("--only", nargs="*", help="labels of methods; all by default")
-    parser.add_argument("--shrink", type=int, default=1, help="divides every side, to try the benchmark itself")
+    parser.add_argument(
+        "--shrink", type=int, default=1, help="divides every side, to try the benchmark itself"
+    )
     parser.add_argument("--json", type=Path, help="file to write")
     options = parser.parse_args()
     device = compute_device(options.device)
-    machine = f"{describe_device(device)}, torch {torch.__version__}, {get_threads()} threads of the CPU"
+    machine = (
+        f"{describe_device(device)}, torch {torch.__version__}, {get_threads()} threads of the CPU"
+    )
     print(machine)
     trials = [trial for trial in TRIALS if not options.only or trial.label in options.only]
-    shrunk = [Trial(each.label, _shrunk(each.size, options.shrink), each.frames, each.cpu_frames) for each in trials]
+    shrunk = [
+        Trial(each.label, _shrunk(each.size, options.shrink), each.frames, each.cpu_frames)
+        for each in trials
+    ]
     figures = measure(str(device), shrunk)
     if options.json:
         options.json.write_text(json.dumps({"machine": machine, "figures": figures}, indent=1))

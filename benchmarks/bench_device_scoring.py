@@ -1,7 +1,8 @@
 """Scoring on a GPU, checked against the CPU and timed: the last part of ``make bench-device``.
 
-All eight metrics of a view, frames decoded. LPIPS takes its weights where they are; else random ones of the same shapes, with the
-same time and values that are not compared. STED wants pyrtools, which has its filters.
+All eight metrics of a view, frames decoded. LPIPS takes its weights where they are; else random
+ones of the same shapes, with the same time and values that are not compared. STED wants pyrtools,
+which has its filters.
 """
 
 import os
@@ -22,7 +23,8 @@ from ggvs_eval.metrics.image.lpips_network import LAYERS, weights_path
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.stream import score_view
 
-EIGHT = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT")  # SDV, the eighth, is a line over all views' L1
+# SDV, the eighth, is a line over all views' L1
+EIGHT = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT")
 TARGET_MS = 60.0  # a frame of 1352 x 1014 on a Hopper GPU, all eight
 WARM_UP, TIMED = 2, 8  # frames
 NOISE_LEVELS = 5
@@ -32,7 +34,9 @@ Pair = tuple[Image8, Image8]
 
 
 def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
-    """Print, and return, how far values differ from the CPU's, and milliseconds of a frame: all, and of each metric alone."""
+    """Print, and return, how far values differ from the CPU's, and milliseconds of a frame: all,
+    and of each metric alone.
+    """
     device = "cpu:0" if device == "cpu" else device  # the way of a device, not the CPU's own
     frames = _frames(*size, WARM_UP + TIMED)
     metrics = EIGHT if find_spec("pyrtools") else tuple(name for name in EIGHT if name != "STED")
@@ -43,7 +47,10 @@ def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
         figures = {title: _frame_ms(frames, metrics, device)}
         figures |= {name: _frame_ms(frames, (name,), device) for name in metrics}
     verdict = "as the CPU scores it" if difference <= LEAST_CLOSE else "NOT AS THE CPU SCORES IT"
-    print(f"\nscoring, {size[0]}x{size[1]}\n  {verdict}: values differ by at most {difference:.1e} of themselves")
+    print(
+        f"\nscoring, {size[0]}x{size[1]}\n  {verdict}: values differ by at most {difference:.1e} "
+        f"of themselves"
+    )
     if metrics != EIGHT:
         print("  STED not computed: pyrtools is missing; install its wheel")
     if not genuine:
@@ -68,12 +75,19 @@ def _frames(width: int, height: int, count: int) -> list[Pair]:
 
 def _largest_difference(frames: list[Pair], metrics: tuple[str, ...], device: str) -> float:
     """Return the largest relative difference between a value of the device and the CPU's."""
-    here, there = (score_view(frames, metrics, MetricOptions(device=name)).values for name in ("cpu", device))
-    return max(abs(other - value) / max(abs(value), 1e-12) for (_, _, value), (_, _, other) in zip(here, there, strict=True))
+    here, there = (
+        score_view(frames, metrics, MetricOptions(device=name)).values for name in ("cpu", device)
+    )
+    return max(
+        abs(other - value) / max(abs(value), 1e-12)
+        for (_, _, value), (_, _, other) in zip(here, there, strict=True)
+    )
 
 
 def _frame_ms(frames: list[Pair], metrics: tuple[str, ...], device: str) -> float:
-    """Return the milliseconds of a frame of a warm view, by the host's clock: values are numbers on the host."""
+    """Return the milliseconds of a frame of a warm view, by the host's clock: values are numbers on
+    the host.
+    """
     options = MetricOptions(device=device)
     score_view(frames[:WARM_UP], metrics, options)
     begun_s = perf_counter()
@@ -104,7 +118,9 @@ def _random_weights() -> dict[str, torch.Tensor]:
     widths = [64] * 2 + [128] * 2 + [256] * 3 + [512] * 6
     for number, (layer, width) in enumerate(zip(LAYERS["vgg"], widths, strict=True)):
         scale = (2 / (9 * channels)) ** 0.5
-        tensors[f"conv{number}.weight"] = scale * torch.randn(width, channels, 3, 3, generator=generator)
+        tensors[f"conv{number}.weight"] = scale * torch.randn(
+            width, channels, 3, 3, generator=generator
+        )
         tensors[f"conv{number}.bias"] = torch.zeros(width)
         channels = width
         if layer.tap:

@@ -1,7 +1,9 @@
-"""One step of a 4DGS fit: the deformation field by its kernel, against its torch twin in the same run.
+"""One step of a 4DGS fit: the deformation field by its kernel, against its torch twin in the same
+run.
 
-``python -m benchmarks.bench_fit`` prints the figures and the load of the machine: fastest steps, the kernel's and the twin's in
-turn, on the cloud and camera of `bench_gaussians`, with harmonics of degree 1 as in fits. The twin has one thread, as there.
+``python -m benchmarks.bench_fit`` prints the figures and the load of the machine: fastest steps,
+the kernel's and the twin's in turn, on the cloud and camera of `bench_gaussians`, with harmonics of
+degree 1 as in fits. The twin has one thread, as there.
 """
 
 import os
@@ -40,14 +42,24 @@ def measure() -> dict[str, dict[str, Any]]:
     with one_thread():
         for _ in range(REPEATS):
             for name, each in times.items():
-                with patch.object(hexplane, "field_outputs", _twin) if name == "twin" else nullcontext():
+                with (
+                    patch.object(hexplane, "field_outputs", _twin)
+                    if name == "twin"
+                    else nullcontext()
+                ):
                     each.append(_step_ms(state, camera))
-    (field, step), (twin_field, twin_step) = (tuple(map(min, zip(*each, strict=True))) for each in times.values())
+    (field, step), (twin_field, twin_step) = (
+        tuple(map(min, zip(*each, strict=True))) for each in times.values()
+    )
     return {"fit_field": _figure(field, twin_field), "fit_step": _figure(step, twin_step)}
 
 
 def _twin(
-    grid: hexplane.PlaneGrid, trunk: nn.Linear, heads: Sequence[nn.Sequential], points: Tensor, at: float
+    grid: hexplane.PlaneGrid,
+    trunk: nn.Linear,
+    heads: Sequence[nn.Sequential],
+    points: Tensor,
+    at: float,
 ) -> tuple[Tensor, ...]:
     """Compute `hexplane.field_outputs` without the kernel."""
     features = trunk(grid(points, at))
@@ -55,7 +67,9 @@ def _twin(
 
 
 def _step_ms(state: FitState, camera: Camera) -> tuple[float, float]:
-    """Return the milliseconds of the field forward and backward, and for the step that it is part of."""
+    """Return the milliseconds of the field forward and backward, and for the step that it is part
+    of.
+    """
     truth = torch.full((camera.height, camera.width, 3), 0.5)
     times = [time.perf_counter()]
     cloud = state.motion.cloud(state.gaussians, 0.4)
@@ -69,16 +83,30 @@ def _step_ms(state: FitState, camera: Camera) -> tuple[float, float]:
     times.append(time.perf_counter())
     state.motion.penalty().backward()
     state.optimiser.step()
-    start, moved, rendered, returned, stepped = (1000 * each for each in (*times, time.perf_counter()))
+    start, moved, rendered, returned, stepped = (
+        1000 * each for each in (*times, time.perf_counter())
+    )
     return moved - start + returned - rendered, stepped - start
 
 
 def _figure(value: float, twin: float) -> dict[str, Any]:
-    entry = {"value": value, "unit": "ms", "target": None, "higher_is_better": False, "command": COMMAND}
+    entry = {
+        "value": value,
+        "unit": "ms",
+        "target": None,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
     return entry | {"peer": "torch twin, same run", "peer_value": twin, "ratio": twin / value}
 
 
 if __name__ == "__main__":
-    print(f"{get_threads()} threads, load {', '.join(f'{load:.1f}' for load in os.getloadavg())} before")
+    print(
+        f"{get_threads()} threads, load {', '.join(f'{load:.1f}' for load in os.getloadavg())} "
+        f"before"
+    )
     for name, figure in measure().items():
-        print(f"{name}: {figure['value']:.4g} ms; {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}")
+        print(
+            f"{name}: {figure['value']:.4g} ms; {figure['peer']}: {figure['peer_value']:.4g}, "
+            f"ratio {figure['ratio']:.3g}"
+        )

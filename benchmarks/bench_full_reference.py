@@ -1,8 +1,10 @@
-"""Cost of the further full-reference metrics on frames of the paper's size; IV-PSNR against the same definition in numpy.
+"""Cost of the further full-reference metrics on frames of the paper's size.
 
-``python -m benchmarks.bench_full_reference``. The fastest call counts; a metric of whole videos is measured on `VIDEO_FRAMES`.
-Next to the wall time is that of the cores, which other programs on the machine disturb less. What is not installed is
-left out and named.
+IV-PSNR against the same definition in numpy.
+
+``python -m benchmarks.bench_full_reference``. The fastest call counts; a metric of whole videos is
+measured on `VIDEO_FRAMES`. Next to the wall time is that of the cores, which other programs on the
+machine disturb less. What is not installed is left out and named.
 """
 
 import resource
@@ -48,12 +50,18 @@ def measure() -> dict[str, Figure]:
         "flip": (lambda: flip(rendered, truth), 1, 2),
         "vmaf": (lambda: vmaf(repeat((rendered, truth), VIDEO_FRAMES)), VIDEO_FRAMES, 2),
         "dists": (lambda: dists(rendered, truth), 1, 1),
-        "cvvdp": (lambda: colour_video_vdp(repeat((rendered, truth), VIDEO_FRAMES)), VIDEO_FRAMES, 1),
+        "cvvdp": (
+            lambda: colour_video_vdp(repeat((rendered, truth), VIDEO_FRAMES)),
+            VIDEO_FRAMES,
+            1,
+        ),
     }
     figures = _iv_psnr_figures(rendered, truth)
     for name, (call, frames, times) in calls.items():
         try:
-            figures[f"metrics.{name}_ms"] = time_figure([elapsed_ms(call) for _ in range(times)], frames)
+            figures[f"metrics.{name}_ms"] = time_figure(
+                [elapsed_ms(call) for _ in range(times)], frames
+            )
         except (MetricError, WeightsError) as error:
             print(f"metrics.{name}: not measured: {error}", file=sys.stderr)
     return figures | _parts_figures(rendered, truth)
@@ -67,7 +75,8 @@ def _iv_psnr_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> d
     figure, peer = time_figure(ours, target=60), min(peers)[0]
     difference = abs(iv_psnr(rendered, truth) - numpy_iv_psnr(rendered, truth))
     return {
-        "metrics.iv_psnr_ms": figure | {"peer": "numpy", "peer_value": peer, "ratio": peer / figure["value"]},
+        "metrics.iv_psnr_ms": figure
+        | {"peer": "numpy", "peer_value": peer, "ratio": peer / figure["value"]},
         "metrics.iv_psnr_minus_numpy": _figure(difference, "dB", 1e-4),
     }
 
@@ -78,7 +87,8 @@ def _parts_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> dic
     whole = ("PSNR", "SSIM", "L1", "IV_PSNR")
     parts = [f"{name}_{region}" for region in ("static", "moving") for name in whole]
     elapsed = [elapsed_ms(lambda: score_view(frames, parts)) for _ in range(2)]
-    return {"metrics.parts_of_psnr_ssim_l1_iv_psnr_ms": time_figure(elapsed)}  # the first frame has no parts
+    # the first frame has no parts
+    return {"metrics.parts_of_psnr_ssim_l1_iv_psnr_ms": time_figure(elapsed)}
 
 
 def numpy_iv_psnr(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> float:
@@ -92,8 +102,16 @@ def numpy_iv_psnr(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> floa
 def _ycbcr(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     red, green, blue = BT709
     to_blue, to_red = 0.5 / (blue - 1), 0.5 / (red - 1)
-    rows = np.array([[red, green, blue], [to_blue * red, to_blue * green, 0.5], [0.5, to_red * green, to_red * blue]])
-    levels = np.floor(image.astype(np.float64) @ np.rint(rows * 2**16).T / 2**16 + 0.5) + np.array([0, 128, 128])
+    rows = np.array(
+        [
+            [red, green, blue],
+            [to_blue * red, to_blue * green, 0.5],
+            [0.5, to_red * green, to_red * blue],
+        ]
+    )
+    levels = np.floor(image.astype(np.float64) @ np.rint(rows * 2**16).T / 2**16 + 0.5) + np.array(
+        [0, 128, 128]
+    )
     return np.ascontiguousarray(np.clip(levels, 0, 255).transpose(2, 0, 1), dtype=np.float32)
 
 
@@ -115,13 +133,17 @@ def _directed(image: NDArray[np.float32], candidates: NDArray[np.float32]) -> fl
 
 def frame_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return a photograph enlarged to the paper's size, with and without noise."""
-    truth = np.asarray(cv2.resize(data.astronaut(), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    truth = np.asarray(
+        cv2.resize(data.astronaut(), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC), dtype=np.uint8
+    )
     noise = np.random.default_rng(0).normal(0, 5, truth.shape)
     return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
 def elapsed_ms(call: Callable[[], Any]) -> tuple[float, float]:
-    """Return the time of a call by the clock, and of all cores, those of programs that it runs too."""
+    """Return the time of a call by the clock, and of all cores, those of programs that it
+    runs too.
+    """
     start, start_of_cores = time.perf_counter(), _core_seconds()
     call()
     return (time.perf_counter() - start) * 1e3, (_core_seconds() - start_of_cores) * 1e3
@@ -132,18 +154,32 @@ def _core_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def time_figure(elapsed: Sequence[tuple[float, float]], frames: int = 1, target: float | None = None) -> Figure:
-    """Return the least of some calls by the clock and by the cores, ms per frame; see `elapsed_ms`."""
+def time_figure(
+    elapsed: Sequence[tuple[float, float]], frames: int = 1, target: float | None = None
+) -> Figure:
+    """Return the least of some calls by the clock and by the cores, ms per frame.
+
+    See `elapsed_ms`.
+    """
     clock, cores = (min(values) / frames for values in zip(*elapsed, strict=True))
     return _figure(clock, target=target) | {"core_ms": cores}
 
 
 def _figure(value: float, unit: str = "ms per frame", target: float | None = None) -> Figure:
-    return {"value": value, "unit": unit, "target": target, "higher_is_better": False, "command": COMMAND}
+    return {
+        "value": value,
+        "unit": unit,
+        "target": target,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
 
 
 if __name__ == "__main__":
     for name, figure in measure().items():
         print(
-            name, *(f"{key}={value:.4g}" for key, value in figure.items() if isinstance(value, float)), figure["unit"], sep="  "
+            name,
+            *(f"{key}={value:.4g}" for key, value in figure.items() if isinstance(value, float)),
+            figure["unit"],
+            sep="  ",
         )

@@ -1,7 +1,9 @@
-"""The differentiable splat of 3D Gaussians at 480 x 360, forward and backward, against its torch twin in the same run.
+"""The differentiable splat of 3D Gaussians at 480 x 360, forward and backward, against its torch
+twin in the same run.
 
-``python -m benchmarks.bench_gaussians`` prints the figures and the load of the machine; ``--gpu`` takes the torch path on a GPU
-instead of the twin on the CPU, and how far its numbers are from the kernel's.
+``python -m benchmarks.bench_gaussians`` prints the figures and the load of the machine; ``--gpu``
+takes the torch path on a GPU instead of the twin on the CPU, and how far its numbers are from the
+kernel's.
 """
 
 import os
@@ -27,7 +29,10 @@ Splat = Callable[..., tuple[torch.Tensor, ...]]
 def measure() -> dict[str, dict[str, Any]]:
     """Return the milliseconds of the kernel and of its twin on the CPU, name -> figure."""
     cloud, camera = make_cloud()
-    ours, twin = step_ms(render.splat_compiled, cloud, camera, 15), step_ms(torch_splat.splat, cloud, camera, 2)
+    ours, twin = (
+        step_ms(render.splat_compiled, cloud, camera, 15),
+        step_ms(torch_splat.splat, cloud, camera, 2),
+    )
     return {
         "gaussians_forward": _figure(ours[0], None, twin[0]),
         "gaussians_forward_backward": _figure(sum(ours), TARGET_MS, sum(twin)),
@@ -35,20 +40,31 @@ def measure() -> dict[str, dict[str, Any]]:
 
 
 def make_cloud() -> tuple[GaussianCloud, Camera]:
-    """Gaussians on the surfaces of a room as four cameras see them, about as large as their distance: an optimiser's, half way.
+    """Gaussians on the surfaces of a room as four cameras see them, about as large as their
+    distance: an optimiser's, half way.
 
     Returns:
-        The cloud, of mixed opacities and of axes that differ by factors of 2 or so, and a fifth camera.
+        The cloud, of mixed opacities and of axes that differ by factors of 2 or so, and a fifth
+        camera.
     """
     draw = torch.Generator().manual_seed(0)
     scene = make_scene(WIDTH)
     picked = []
     for camera, depth in zip(scene.cameras, scene.depths, strict=True):
-        points = torch.from_numpy(camera.unproject(camera.pixel_centres(), depth.astype(float))).float().reshape(-1, 3)
-        picked.append(points[torch.randperm(len(points), generator=draw)[: GAUSSIANS // len(scene.cameras)]])
+        points = (
+            torch.from_numpy(camera.unproject(camera.pixel_centres(), depth.astype(float)))
+            .float()
+            .reshape(-1, 3)
+        )
+        picked.append(
+            points[torch.randperm(len(points), generator=draw)[: GAUSSIANS // len(scene.cameras)]]
+        )
     means = torch.cat(picked)
-    spacing = (means.norm(dim=1) / scene.target.focal_px) * (WIDTH * HEIGHT / GAUSSIANS) ** 0.5  # metres between neighbours
-    cloud = GaussianCloud.of_points(means, torch.rand(GAUSSIANS, 3, generator=draw), scale=spacing, degree=DEGREE)
+    # metres between neighbours
+    spacing = (means.norm(dim=1) / scene.target.focal_px) * (WIDTH * HEIGHT / GAUSSIANS) ** 0.5
+    cloud = GaussianCloud.of_points(
+        means, torch.rand(GAUSSIANS, 3, generator=draw), scale=spacing, degree=DEGREE
+    )
     cloud.log_scales.add_(0.5 * torch.randn(GAUSSIANS, 3, generator=draw))
     cloud.quaternions.copy_(torch.randn(GAUSSIANS, 4, generator=draw))
     cloud.opacity_logits.copy_(2 * torch.randn(GAUSSIANS, generator=draw))
@@ -57,10 +73,17 @@ def make_cloud() -> tuple[GaussianCloud, Camera]:
     return cloud, target.cropped(0, (target.height - HEIGHT) // 2, WIDTH, HEIGHT)
 
 
-def step_ms(splat: Splat, cloud: GaussianCloud, camera: Camera, repeats: int) -> tuple[float, float]:
-    """Fastest forward and backward pass of some repeats, with the derivatives of all parameters and of the screen offsets."""
+def step_ms(
+    splat: Splat, cloud: GaussianCloud, camera: Camera, repeats: int
+) -> tuple[float, float]:
+    """Fastest forward and backward pass of some repeats, with the derivatives of all parameters and
+    of the screen offsets.
+    """
     device = cloud.means.device
-    leaves = {name: tensor.detach().clone().requires_grad_() for name, tensor in cloud.parameters().items()}
+    leaves = {
+        name: tensor.detach().clone().requires_grad_()
+        for name, tensor in cloud.parameters().items()
+    }
     offsets = torch.zeros(len(cloud), 2, device=device, requires_grad=True)
     times = []
     for _ in range(repeats):
@@ -75,16 +98,24 @@ def step_ms(splat: Splat, cloud: GaussianCloud, camera: Camera, repeats: int) ->
 
 
 def gpu_figures() -> dict[str, dict[str, Any]]:
-    """Return the milliseconds of the torch path on a GPU, next to the kernel's, and the largest difference of their images."""
+    """Return the milliseconds of the torch path on a GPU, next to the kernel's, and the largest
+    difference of their images.
+    """
     cloud, camera = make_cloud()
     there = cloud.to("cuda")
-    ours, peer = step_ms(render.splat_compiled, cloud, camera, 5), step_ms(torch_splat.splat, there, camera, 5)
+    ours, peer = (
+        step_ms(render.splat_compiled, cloud, camera, 5),
+        step_ms(torch_splat.splat, there, camera, 5),
+    )
     images = [
-        splat(each, camera, NEAR_M, None)[0] for splat, each in ((render.splat_compiled, cloud), (torch_splat.splat, there))
+        splat(each, camera, NEAR_M, None)[0]
+        for splat, each in ((render.splat_compiled, cloud), (torch_splat.splat, there))
     ]
     difference = float((images[0] - images[1].cpu()).abs().max())
     return {
-        "gaussians_forward_backward": _figure(sum(ours), TARGET_MS, sum(peer), torch.cuda.get_device_name()),
+        "gaussians_forward_backward": _figure(
+            sum(ours), TARGET_MS, sum(peer), torch.cuda.get_device_name()
+        ),
         "gaussians_gpu_difference": _figure(difference, 1e-3, None) | {"unit": "of white"},
     }
 
@@ -95,14 +126,29 @@ def _now(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def _figure(value: float, target: float | None, peer_value: float | None, peer: str = "torch twin, same run") -> dict[str, Any]:
-    entry = {"value": value, "unit": "ms", "target": target, "higher_is_better": False, "command": COMMAND}
+def _figure(
+    value: float, target: float | None, peer_value: float | None, peer: str = "torch twin, same run"
+) -> dict[str, Any]:
+    entry = {
+        "value": value,
+        "unit": "ms",
+        "target": target,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
     ratio = None if peer_value is None else peer_value / value
     return entry | {"peer": peer if ratio else None, "peer_value": peer_value, "ratio": ratio}
 
 
 if __name__ == "__main__":
-    print(f"{get_threads()} threads, load {', '.join(f'{load:.1f}' for load in os.getloadavg())} before")
+    print(
+        f"{get_threads()} threads, load {', '.join(f'{load:.1f}' for load in os.getloadavg())} "
+        f"before"
+    )
     for name, figure in (gpu_figures() if "--gpu" in sys.argv[1:] else measure()).items():
-        peer = f"; {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}" if figure["peer"] else ""
+        peer = (
+            f"; {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}"
+            if figure["peer"]
+            else ""
+        )
         print(f"{name}: {figure['value']:.4g} {figure['unit']}{peer}")

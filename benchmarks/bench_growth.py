@@ -1,7 +1,8 @@
 """How time and memory grow with cameras, frames and pixels: ``python -m benchmarks.bench_growth``.
 
-An exponent is the slope of the logarithm of CPU time (all threads) over that of the size, between the two largest sizes: 1 is
-growth in proportion. Above `SUPERLINEAR` something is done again for each of what is there already.
+An exponent is the slope of the logarithm of CPU time (all threads) over that of the size, between
+the two largest sizes: 1 is growth in proportion. Above `SUPERLINEAR` something is done again for
+each of what is there already.
 """
 
 import tempfile
@@ -31,7 +32,8 @@ SUPERLINEAR = 1.2
 CAMERAS, TEST_VIEWS = (10, 30, 100), 9
 SIZES = ((240, 180), (480, 360), (960, 720), (1920, 1440))
 STEPS, WARM_UP = 3, 2
-FRAMES, FRAME_SIZE, SPAN = 1000, (160, 120), 100  # the first and the last hundred of a thousand are compared
+# the first and the last hundred of a thousand are compared
+FRAMES, FRAME_SIZE, SPAN = 1000, (160, 120), 100
 SERIES = (100, 1000, 5000)  # frames of a clip whose mean has an interval
 Figure = dict[str, Any]
 
@@ -42,14 +44,20 @@ def measure() -> dict[str, Figure]:
 
 
 def measure_cameras(counts: Sequence[int] = CAMERAS) -> dict[str, Figure]:
-    """Seconds to plan a run of nine test views by the number of cameras, and the depth maps that it needs at an instant."""
+    """Seconds to plan a run of nine test views by the number of cameras, and the depth maps that it
+    needs at an instant.
+    """
     seconds, maps = [], []
     with tempfile.TemporaryDirectory() as root:
         for count in counts:
             capture = _write_row(Path(root) / f"{count}", count)
             base = load_protocol("demo")
-            views = Views(capture.camera_names[count // 4 :][: min(TEST_VIEWS, count // 2)], "for growth")
-            protocol = replace(base, views=views, frames=Frames(0, 1), synthesis=Synthesis(4), path=CameraPath(0))
+            views = Views(
+                capture.camera_names[count // 4 :][: min(TEST_VIEWS, count // 2)], "for growth"
+            )
+            protocol = replace(
+                base, views=views, frames=Frames(0, 1), synthesis=Synthesis(4), path=CameraPath(0)
+            )
             request = RunRequest(Path(root) / f"run{count}", capture, protocol, ("no-blending",))
             seconds.append(min(_cpu_s(plan_run, request) for _ in range(3)))
             maps.append(float(len(plan_run(request).view_jobs)))
@@ -69,7 +77,9 @@ def measure_pixels(sizes: Sequence[tuple[int, int]] = SIZES) -> dict[str, Figure
             setting = Setting(name, width, height, 4, STEPS)
             scene, method = _scene(setting), GeometryGuided(blender=blender())
             images = _images(scene)
-            instants = [_instant(scene, images[index % 2], index, 4) for index in range(WARM_UP + STEPS)]
+            instants = [
+                _instant(scene, images[index % 2], index, 4) for index in range(WARM_UP + STEPS)
+            ]
             with PeakMemory() as before:
                 pass
             with PeakMemory() as memory:
@@ -102,9 +112,14 @@ def measure_frames(count: int = FRAMES) -> dict[str, Figure]:
 
 
 def measure_series(lengths: Sequence[int] = SERIES) -> dict[str, Figure]:
-    """CPU time of the interval of a mean over frames, whose models are computed anew for each length."""
+    """CPU time of the interval of a mean over frames, whose models are computed anew for each
+    length.
+    """
     series = [np.random.default_rng(0).normal(size=length) for length in lengths]
-    seconds = [_cpu_s(lambda values: ErrorOfMean.of_series(values).half_width(0.05), each) for each in series]
+    seconds = [
+        _cpu_s(lambda values: ErrorOfMean.of_series(values).half_width(0.05), each)
+        for each in series
+    ]
     return {
         "growth.series.seconds": _figure(seconds[-1], "CPU s"),
         "growth.series.exponent": _exponent(lengths, seconds),
@@ -118,7 +133,10 @@ def _write_row(folder: Path, count: int) -> Capture:
         across = 0.1 * (index - count / 2)
         turn = np.arctan2(across, 4.0 + 0.1 * count)
         pose = np.eye(4)
-        pose[0, [0, 2]], pose[2, [0, 2]] = (np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))
+        pose[0, [0, 2]], pose[2, [0, 2]] = (
+            (np.cos(turn), np.sin(turn)),
+            (-np.sin(turn), np.cos(turn)),
+        )
         pose[:3, 3] = -pose[:3, :3] @ (across, 0.0, 0.0)
         K = np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]])
         cameras.append(Camera(f"cam{index:03d}", K, pose, 320, 240, 2.0, 20.0))
@@ -134,11 +152,21 @@ def _cpu_s(work: Callable[[Any], object], what: Any) -> float:
 
 
 def _exponent(sizes: Sequence[int], seconds: Sequence[float]) -> Figure:
-    return _figure(float(np.log(seconds[-1] / seconds[-2]) / np.log(sizes[-1] / sizes[-2])), "exponent", SUPERLINEAR)
+    return _figure(
+        float(np.log(seconds[-1] / seconds[-2]) / np.log(sizes[-1] / sizes[-2])),
+        "exponent",
+        SUPERLINEAR,
+    )
 
 
 def _figure(value: float, unit: str, target: float | None = None) -> Figure:
-    return {"value": value, "unit": unit, "target": target, "higher_is_better": False, "command": COMMAND}
+    return {
+        "value": value,
+        "unit": unit,
+        "target": target,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Time and memory of the metrics on frames of the paper's size, against scikit-image and scikit-video.
+"""Time and memory of the metrics on frames of the paper's size, against scikit-image and
+scikit-video.
 
-``python -m benchmarks.bench_metrics``. The compared functions are timed by turns in one run, and the fastest call counts.
+``python -m benchmarks.bench_metrics``. The compared functions are timed by turns in one run, and
+the fastest call counts.
 """
 
 import json
@@ -22,36 +24,61 @@ from torch.nn import functional
 from ggvs_eval.metrics.colour_moments import ColourMoments
 from ggvs_eval.metrics.image.corrected import apply_colour_map
 from ggvs_eval.metrics.image.lpips import lpips
-from ggvs_eval.metrics.image.lpips_network import LAYERS, load_heads, load_weights, network_input, tapped_layers, weights_path
+from ggvs_eval.metrics.image.lpips_network import (
+    LAYERS,
+    load_heads,
+    load_weights,
+    network_input,
+    tapped_layers,
+    weights_path,
+)
 from ggvs_eval.metrics.image.ssim import masked_ssim, ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 
 COMMAND = "python -m benchmarks.bench_metrics"
 WIDTH, HEIGHT = 1352, 1014
-METRICS_OF_A_VIEW = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT")  # SDV, the eighth, is a line over all views' L1
+# SDV, the eighth, is a line over all views' L1
+METRICS_OF_A_VIEW = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT")
 SEVEN = [name for name in METRICS_OF_A_VIEW if name != "LPIPS"]
 SHORT, LONG = 4, 24  # frames of the views whose memory is measured
 Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Name -> figure; LPIPS is left out where its weights have not been fetched, ST-RRED's peer where it is not installed."""
+    """Name -> figure; LPIPS is left out where its weights have not been fetched, ST-RRED's peer
+    where it is not installed.
+    """
     figures = _ssim_figures() | _strred_figures() | _variant_figures() | _memory_figures()
-    figures["metrics.seven_without_lpips_ms"] = _figure(_view_ms(SEVEN, runs=3), "ms per frame", 250)
+    figures["metrics.seven_without_lpips_ms"] = _figure(
+        _view_ms(SEVEN, runs=3), "ms per frame", 250
+    )
     if weights_path("vgg").is_file():
         figures |= _lpips_figures(480, 360) | _lpips_figures(WIDTH, HEIGHT)
-        figures["metrics.all_eight_ms"] = _figure(_view_ms(METRICS_OF_A_VIEW, runs=1), "ms per frame", 8000)
-        figures["metrics.all_eight_of_two_methods_ms"] = _figure(_two_methods_ms(), "ms per frame", 12000)
+        figures["metrics.all_eight_ms"] = _figure(
+            _view_ms(METRICS_OF_A_VIEW, runs=1), "ms per frame", 8000
+        )
+        figures["metrics.all_eight_of_two_methods_ms"] = _figure(
+            _two_methods_ms(), "ms per frame", 12000
+        )
     return figures
 
 
 def _ssim_figures() -> dict[str, Figure]:
     rendered, truth = _frame_pair()
-    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 255, "channel_axis": 2}
+    options = {
+        "gaussian_weights": True,
+        "sigma": 1.5,
+        "use_sample_covariance": False,
+        "data_range": 255,
+        "channel_axis": 2,
+    }
     ours_ms, peer_ms = np.inf, np.inf
     for _ in range(4):
         ours_ms = min(ours_ms, _fastest_ms(lambda: ssim(rendered, truth), runs=5)[0])
-        peer_ms = min(peer_ms, _fastest_ms(lambda: structural_similarity(rendered, truth, **options), runs=1)[0])
+        peer_ms = min(
+            peer_ms,
+            _fastest_ms(lambda: structural_similarity(rendered, truth, **options), runs=1)[0],
+        )
     difference = abs(ssim(rendered, truth) - structural_similarity(rendered, truth, **options))
     return {
         "metrics.ssim_ms": _figure(ours_ms, "ms", 10) | _peer("scikit-image", peer_ms, ours_ms),
@@ -62,21 +89,31 @@ def _ssim_figures() -> dict[str, Figure]:
 
 def _strred_figures() -> dict[str, Figure]:
     """Against scikit-video in a separate process; this package alone where it is not installed."""
-    run = subprocess.run([sys.executable, "-m", "benchmarks.scikit_video_strred"], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, "-m", "benchmarks.scikit_video_strred"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if run.returncode:
         print(f"metrics.strred: {run.stderr.strip().splitlines()[-1]}", file=sys.stderr)
         return {"metrics.strred_ms": _figure(_view_ms(["STED"], runs=3), "ms per frame", None)}
     figures = json.loads(run.stdout)
     ours_ms, peer_ms = figures["ours_ms"], figures["peer_ms"]
     return {
-        "metrics.strred_ms": _figure(ours_ms, "ms per frame", None) | _peer("scikit-video, patched to run", peer_ms, ours_ms),
+        "metrics.strred_ms": _figure(ours_ms, "ms per frame", None)
+        | _peer("scikit-video, patched to run", peer_ms, ours_ms),
         "metrics.strred_times_faster_than_scikit_video": _speedup(peer_ms / ours_ms, 10),
-        "metrics.strred_against_scikit_video": _figure(abs(figures["value"] / figures["peer_value"] - 1), "relative", 5e-4),
+        "metrics.strred_against_scikit_video": _figure(
+            abs(figures["value"] / figures["peer_value"] - 1), "relative", 5e-4
+        ),
     }
 
 
 def _variant_figures() -> dict[str, Figure]:
-    """Return the time optional variants that a protocol may request: masked SSIM, colour correction."""
+    """Return the time optional variants that a protocol may request: masked SSIM, colour
+    correction.
+    """
     rendered, truth = _frame_pair()
     mask = np.zeros(truth.shape[:2], dtype=bool)
     mask[100:600, 200:900] = True
@@ -92,11 +129,16 @@ def _variant_figures() -> dict[str, Figure]:
 
 
 def _memory_figures() -> dict[str, Figure]:
-    """Measure by how much scoring short and long views raises a process's memory; a pair of frames is 8.2 MB."""
+    """Measure by how much scoring short and long views raises a process's memory.
+
+    A pair of frames is 8.2 MB.
+    """
     short_mb, long_mb = (_peak_mb(frames, "seven") for frames in (SHORT, LONG))
     figures = {
         "metrics.seven_memory_mb": _figure(short_mb, "MB", None),
-        "metrics.seven_memory_per_further_frame_mb": _figure((long_mb - short_mb) / (LONG - SHORT), "MB", 0.5),
+        "metrics.seven_memory_per_further_frame_mb": _figure(
+            (long_mb - short_mb) / (LONG - SHORT), "MB", 0.5
+        ),
     }
     if weights_path("vgg").is_file():
         figures["metrics.all_eight_memory_mb"] = _figure(_peak_mb(2, "all"), "MB", None)
@@ -109,7 +151,9 @@ def _peak_mb(frames: int, which: str) -> float:
 
 
 def _score_and_print_peak(frames: int, which: str) -> None:
-    """Print the peak memory of scoring, as the child of `_peak_mb`: weights are read and the peak is reset before it."""
+    """Print the peak memory of scoring, as the child of `_peak_mb`: weights are read and the peak
+    is reset before it.
+    """
     names = METRICS_OF_A_VIEW if which == "all" else SEVEN
     rendered, truth = _frame_pair()
     score_view([(rendered[:64, :64], truth[:64, :64])] * 2, names)
@@ -122,10 +166,14 @@ def _score_and_print_peak(frames: int, which: str) -> None:
 def _memory_mb(field: str) -> float:
     """Return a line of this process's status; Linux only."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
-    return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field))
+    return next(
+        int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field)
+    )
 
 
-def _shifted(rendered: NDArray[np.uint8], truth: NDArray[np.uint8], frames: int) -> Iterator[tuple[NDArray[np.uint8], ...]]:
+def _shifted(
+    rendered: NDArray[np.uint8], truth: NDArray[np.uint8], frames: int
+) -> Iterator[tuple[NDArray[np.uint8], ...]]:
     """Yield a view whose frames exist one at a time."""
     for t in range(frames):
         yield np.roll(rendered, 3 * t, axis=1), np.roll(truth, 3 * t, axis=1)
@@ -155,19 +203,34 @@ def _lpips_figures(width: int, height: int) -> dict[str, Figure]:
     return {
         f"{name}_ms": _figure(ours_ms, "ms", None) | _peer("torch", peer_ms, ours_ms),
         f"{name}_times_faster_than_torch": _speedup(peer_ms / ours_ms, 2),
-        f"{name}_minus_torch": _figure(abs(lpips(rendered, truth, "vgg") - _torch_lpips(rendered, truth)), "", 1e-5),
+        f"{name}_minus_torch": _figure(
+            abs(lpips(rendered, truth, "vgg") - _torch_lpips(rendered, truth)), "", 1e-5
+        ),
     }
 
 
 def _torch_lpips(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> float:
     weights, total = load_weights("vgg"), 0.0
     with torch.inference_mode():
-        frames = [network_input(frame)[None].contiguous(memory_format=torch.channels_last) for frame in (rendered, truth)]
-        layers = zip(*(tapped_layers(frame, LAYERS["vgg"], weights) for frame in frames), load_heads("vgg", "cpu"), strict=True)
+        frames = [
+            network_input(frame)[None].contiguous(memory_format=torch.channels_last)
+            for frame in (rendered, truth)
+        ]
+        layers = zip(
+            *(tapped_layers(frame, LAYERS["vgg"], weights) for frame in frames),
+            load_heads("vgg", "cpu"),
+            strict=True,
+        )
         for ours, theirs, heads in layers:
-            rows = zip(ours.split(16, dim=2), theirs.split(16, dim=2), strict=True)  # which stay in cache
-            squared = [(functional.normalize(one) - functional.normalize(other)).square_() for one, other in rows]
-            total += sum(float(torch.einsum("nchw,c->", each, heads)) for each in squared) / (ours.shape[2] * ours.shape[3])
+            # which stay in cache
+            rows = zip(ours.split(16, dim=2), theirs.split(16, dim=2), strict=True)
+            squared = [
+                (functional.normalize(one) - functional.normalize(other)).square_()
+                for one, other in rows
+            ]
+            total += sum(float(torch.einsum("nchw,c->", each, heads)) for each in squared) / (
+                ours.shape[2] * ours.shape[3]
+            )
     return total
 
 
@@ -189,7 +252,13 @@ def _fastest_ms(call: Callable[[], Any], runs: int) -> tuple[float, Any]:
 
 
 def _figure(value: float, unit: str, target: float | None) -> Figure:
-    return {"value": value, "unit": unit, "target": target, "higher_is_better": False, "command": COMMAND}
+    return {
+        "value": value,
+        "unit": unit,
+        "target": target,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
 
 
 def _speedup(times: float, target: float) -> Figure:
@@ -205,4 +274,12 @@ if __name__ == "__main__":
         _score_and_print_peak(int(sys.argv[1]), sys.argv[2])
     else:
         for name, figure in measure().items():
-            print(name, *(f"{key}={value}" for key, value in figure.items() if value not in (None, COMMAND)), sep="  ")
+            print(
+                name,
+                *(
+                    f"{key}={value}"
+                    for key, value in figure.items()
+                    if value not in (None, COMMAND)
+                ),
+                sep="  ",
+            )

@@ -1,7 +1,8 @@
 """Cost of the metrics without truth on frames of the paper's size.
 
-``python -m benchmarks.bench_no_reference``. The fastest call counts; next to the wall time is that of the cores, which
-other programs on the machine disturb less. COLMAP's is of a path of `VIEWS` views, per view.
+``python -m benchmarks.bench_no_reference``. The fastest call counts; next to the wall time is that
+of the cores, which other programs on the machine disturb less. COLMAP's is of a path of `VIEWS`
+views, per view.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.bench_full_reference import HEIGHT, RUNS, WIDTH, Figure, elapsed_ms, frame_pair, time_figure
+from benchmarks.bench_full_reference import (
+    HEIGHT,
+    RUNS,
+    WIDTH,
+    Figure,
+    elapsed_ms,
+    frame_pair,
+    time_figure,
+)
 from ggvs_eval.camera import Camera, translated_path
 from ggvs_eval.contrib.more_metrics.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.image.regions import moving_mask
@@ -43,24 +52,39 @@ def measure() -> dict[str, Figure]:
         "colmap": (lambda: colmap_consistency(_views()), VIEWS, 1),
     }
     for name, series in series_of_depths().items():
-        calls[name.lower()] = (lambda series=series: series.function(depths[: series.n_frames], None), 1, RUNS)
+        calls[name.lower()] = (
+            lambda series=series: series.function(depths[: series.n_frames], None),
+            1,
+            RUNS,
+        )
     return {
-        f"metrics.{name}_ms": time_figure([elapsed_ms(call) for _ in range(times)], frames) | {"command": COMMAND}
+        f"metrics.{name}_ms": time_figure([elapsed_ms(call) for _ in range(times)], frames)
+        | {"command": COMMAND}
         for name, (call, frames, times) in calls.items()
     }
 
 
 def _views() -> list[NDArray[np.uint8]]:
-    """A photograph whose lower half moves twice as fast as its upper one, as a camera that moves sideways sees two depths."""
+    """A photograph whose lower half moves twice as fast as its upper one, as a camera that moves
+    sideways sees two depths.
+    """
     photograph = frame_pair()[1]
     shifts = [STEP_PX * (index - VIEWS // 2) // 4 for index in range(VIEWS)]
     half = HEIGHT // 2
     return [
-        np.concatenate([np.roll(photograph[:half], shift, axis=1), np.roll(photograph[half:], 2 * shift, axis=1)])
+        np.concatenate(
+            [
+                np.roll(photograph[:half], shift, axis=1),
+                np.roll(photograph[half:], 2 * shift, axis=1),
+            ]
+        )
         for shift in shifts
     ]
 
 
 if __name__ == "__main__":
     for name, figure in measure().items():
-        print(f"{name}: {figure['core_ms']:.2f} ms of the cores per frame, {figure['value']:.2f} by the clock")
+        print(
+            f"{name}: {figure['core_ms']:.2f} ms of the cores per frame, {figure['value']:.2f} by "
+            f"the clock"
+        )

@@ -1,7 +1,8 @@
 """The whole online step, stage by stage, decoding excluded: ``python -m benchmarks.bench_online``.
 
-At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera. The learned blender is
-measured alone at the full size, in CPU time, next to the torch code that training uses for the same picture.
+At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera.
+The learned blender is measured alone at the full size, in CPU time, next to the torch code that
+training uses for the same picture.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,13 @@ from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkShape, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blend_network import (
+    WIDTHS,
+    BlendNetwork,
+    BlendNetworkShape,
+    compose_tensors,
+    read_outputs,
+)
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -65,16 +72,29 @@ SETTINGS = (
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Return the median and 95th percentile of the step and of its stages after warm-up, in every setting, name -> figure."""
-    figures = {name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()}
+    """Return the median and 95th percentile of the step and of its stages after warm-up, in every
+    setting, name -> figure.
+    """
+    figures = {
+        name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()
+    }
     return figures | measure_network_blender(SETTINGS[0])
 
 
 def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
-    """Return the figures of one setting; geometry is static, which costs the same, and colours are noisy."""
-    scene, method = _scene(setting), GeometryGuided(blender=NetworkBlender() if setting.learned else GeometricBlender())
+    """Return the figures of one setting.
+
+    Geometry is static, which costs the same, and colours are noisy.
+    """
+    scene, method = (
+        _scene(setting),
+        GeometryGuided(blender=NetworkBlender() if setting.learned else GeometricBlender()),
+    )
     images = _images(scene)
-    instants = [_instant(scene, images[index % 2], index, setting.views) for index in range(WARM_UP + setting.steps)]
+    instants = [
+        _instant(scene, images[index % 2], index, setting.views)
+        for index in range(WARM_UP + setting.steps)
+    ]
     seconds = [method.step(instant).seconds for instant in instants][WARM_UP:]
     totals = [sum(frame.values()) for frame in seconds]
     figures = _quantiles(setting.name, totals, setting.target_ms)
@@ -97,7 +117,9 @@ class _Recorder:
 
 
 def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dict[str, Any]]:
-    """CPU time of the learned blender at a setting in its sizes, and of the torch code in place of the one that ships."""
+    """CPU time of the learned blender at a setting in its sizes, and of the torch code in place of
+    the one that ships.
+    """
     scene, recorder = _scene(setting), _Recorder()
     GeometryGuided(blender=recorder).step(_instant(scene, _images(scene)[0], 0, setting.views))
     networks = {size: _random_network(width) for size, width in WIDTHS.items()}
@@ -112,33 +134,49 @@ def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dic
     return {
         name: _figure(times_ms["standard"], "CPU ms", 400.0),
         f"{name}_torch": _figure(torch_ms, "CPU ms", None),
-        f"{name}_speedup": _figure(torch_ms / times_ms["standard"], "x", None, higher_is_better=True),
-        **{f"{name}_{size}": _figure(times_ms[size], "CPU ms", None) for size in ("small", "large")},
+        f"{name}_speedup": _figure(
+            torch_ms / times_ms["standard"], "x", None, higher_is_better=True
+        ),
+        **{
+            f"{name}_{size}": _figure(times_ms[size], "CPU ms", None) for size in ("small", "large")
+        },
     }
 
 
 def _random_network(width: int) -> BlendNetwork:
     torch.manual_seed(0)
-    network: BlendNetwork = BlendNetwork(BlendNetworkShape(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network: BlendNetwork = (
+        BlendNetwork(BlendNetworkShape(width=width)).eval().to(memory_format=torch.channels_last)
+    )  # type: ignore[call-overload]
     return network
 
 
 def torch_blend(network: BlendNetwork, inputs: BlendingInputs) -> NDArray[np.float32]:
     """Return the learned blender's image as training makes it, (H, W, 3)."""
     config, maps = network.config, raw_views(inputs).maps(network.config.guidance)
-    arrays = {"colours": np.moveaxis(maps.colours, 3, 1), "coverage": maps.coverage, "fused_depth": maps.fused_depth}
+    arrays = {
+        "colours": np.moveaxis(maps.colours, 3, 1),
+        "coverage": maps.coverage,
+        "fused_depth": maps.fused_depth,
+    }
     views = {name: torch.from_numpy(array)[None] for name, array in arrays.items()}
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
-    channels = torch.from_numpy(input_channels(maps.reduced(config.scale), config.guidance, config.views))[None]
+    channels = torch.from_numpy(
+        input_channels(maps.reduced(config.scale), config.guidance, config.views)
+    )[None]
     with one_thread(), torch.inference_mode():
         raw = network(channels.to(memory_format=torch.channels_last))
         outputs = read_outputs(raw, start, config.views)
-        image = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
+        image = network.refine(
+            compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views
+        )
     return image[0].clamp(0, 1).permute(1, 2, 0).numpy()
 
 
 def _cpu_ms(work: Callable[[], object], repeats: int) -> float:
-    """Return the median processor time of all threads: what a loaded machine does to the clock on the wall does not count."""
+    """Return the median processor time of all threads: what a loaded machine does to the clock on
+    the wall does not count.
+    """
     times_ms = []
     for _ in range(repeats + 1):
         begin = process_time()
@@ -147,7 +185,9 @@ def _cpu_ms(work: Callable[[], object], repeats: int) -> float:
     return float(np.median(times_ms[1:]))
 
 
-def _quantiles(name: str, seconds: list[float], target_ms: float | None) -> dict[str, dict[str, Any]]:
+def _quantiles(
+    name: str, seconds: list[float], target_ms: float | None
+) -> dict[str, dict[str, Any]]:
     median_ms, late_ms = (float(value) for value in np.quantile(seconds, (0.5, 0.95)) * 1e3)
     return {name: _figure(median_ms, "ms", target_ms), f"{name}_p95": _figure(late_ms, "ms", None)}
 
@@ -163,28 +203,46 @@ def _scene(setting: Setting) -> Scene:
         return camera.cropped(0, top, setting.width, setting.height)
 
     depths = [np.ascontiguousarray(depth[rows]) for depth in scene.depths]
-    return Scene(cut(scene.target), [cut(camera) for camera in scene.cameras], depths, np.ascontiguousarray(scene.image[rows]))
+    return Scene(
+        cut(scene.target),
+        [cut(camera) for camera in scene.cameras],
+        depths,
+        np.ascontiguousarray(scene.image[rows]),
+    )
 
 
 def _images(scene: Scene) -> list[Image8]:
     """Return two noisy copies of the scene's image, which frames take in turn."""
     random, image = np.random.default_rng(0), quantise(scene.image)
-    noises: list[NDArray[np.int64]] = [random.integers(-NOISE_LEVELS, NOISE_LEVELS + 1, image.shape) for _ in range(2)]
+    noises: list[NDArray[np.int64]] = [
+        random.integers(-NOISE_LEVELS, NOISE_LEVELS + 1, image.shape) for _ in range(2)
+    ]
     return [np.clip(image + noise, 0, 255).astype(np.uint8) for noise in noises]
 
 
 def _instant(scene: Scene, image: Image8, index: int, views: int) -> Instant:
     """Return an instant of the `views` cameras nearest to the target."""
-    order = np.argsort([float(np.linalg.norm(camera.centre - scene.target.centre)) for camera in scene.cameras])[:views]
+    order = np.argsort(
+        [float(np.linalg.norm(camera.centre - scene.target.centre)) for camera in scene.cameras]
+    )[:views]
     sources = tuple(
-        SourceView(scene.cameras[k], image, scene.depths[k], np.ones_like(scene.depths[k])) for k in (int(each) for each in order)
+        SourceView(scene.cameras[k], image, scene.depths[k], np.ones_like(scene.depths[k]))
+        for k in (int(each) for each in order)
     )
     return Instant(index, scene.target, sources, units_per_metre=1.0)
 
 
-def _figure(value: float, unit: str, target: float | None, higher_is_better: bool = False) -> dict[str, Any]:
+def _figure(
+    value: float, unit: str, target: float | None, higher_is_better: bool = False
+) -> dict[str, Any]:
     command = f"{COMMAND} ({get_threads()} threads)"
-    return {"value": value, "unit": unit, "target": target, "higher_is_better": higher_is_better, "command": command}
+    return {
+        "value": value,
+        "unit": unit,
+        "target": target,
+        "higher_is_better": higher_is_better,
+        "command": command,
+    }
 
 
 if __name__ == "__main__":

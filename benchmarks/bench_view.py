@@ -1,7 +1,8 @@
-"""The live viewer over the wire: pictures per second while the camera is dragged, and how soon a jump of the camera shows.
+"""The live viewer over the wire: pictures per second while the camera is dragged, and how soon a
+jump of the camera shows.
 
-`python -m benchmarks.bench_view CAPTURE|RUN` speaks with the server as a browser does, by websocket, and draws nothing: the
-browser of anyone who looks has its own cores.
+`python -m benchmarks.bench_view CAPTURE|RUN` speaks with the server as a browser does, by
+websocket, and draws nothing: the browser of anyone who looks has its own cores.
 """
 
 import argparse
@@ -24,7 +25,12 @@ from ggvs_eval.contrib.view.viewer import Listener, Viewer
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, playback_of_capture
+from ggvs_eval.pipelines.play.playback import (
+    Playback,
+    PlayOptions,
+    camera_loop,
+    playback_of_capture,
+)
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 
 WINDOW = 640, 360
@@ -42,16 +48,25 @@ def main() -> None:
     chosen = parser.parse_args()
     capture = open_capture(chosen.capture)
     playback = playback_of_capture(
-        capture, PlayOptions(k=chosen.k, frames=1), DepthRunOptions().options(), chosen.cache, 2, anywhere=True
+        capture,
+        PlayOptions(k=chosen.k, frames=1),
+        DepthRunOptions().options(),
+        chosen.cache,
+        2,
+        anywhere=True,
     )
-    defaults = ViewDefaults(chosen.method, tuple(METHODS), chosen.k, suggest_protocol(capture), chosen.cache)
+    defaults = ViewDefaults(
+        chosen.method, tuple(METHODS), chosen.k, suggest_protocol(capture), chosen.cache
+    )
     listener = Listener(port=0)
     with Viewer(playback, defaults, listener):
         print(json.dumps(measured(listener.address, playback), indent=1))
 
 
 def measured(address: str, playback: Playback) -> dict[str, float]:
-    """Return the pictures per second of a drag, and the median and the 95th percentile of a jump's latency in ms."""
+    """Return the pictures per second of a drag, and the median and the 95th percentile of a jump's
+    latency in ms.
+    """
     url = address.replace("http", "ws")
     with connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as socket:
         poses = list(_poses(playback))
@@ -61,7 +76,11 @@ def measured(address: str, playback: Playback) -> dict[str, float]:
         _drain(socket)
         jumps = [_jump(socket, poses[(37 * index) % len(poses)]) for index in range(1, JUMPS + 1)]
     median, high = np.percentile(jumps, [50, 95]) * 1000
-    return {"pictures_per_second": shown / DRAG_SECONDS, "jump_ms_p50": float(median), "jump_ms_p95": float(high)}
+    return {
+        "pictures_per_second": shown / DRAG_SECONDS,
+        "jump_ms_p50": float(median),
+        "jump_ms_p95": float(high),
+    }
 
 
 def _poses(playback: Playback) -> Iterator[bytes]:

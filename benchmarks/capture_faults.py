@@ -1,9 +1,11 @@
-"""Faults of cameras planted in the videos of clean rigs against what `check` finds: smallest faults found, false alarms.
+"""Faults of cameras planted in the videos of clean rigs against what `check` finds: smallest faults
+found, false alarms.
 
 ``python -m benchmarks.capture_faults RIG [RIG ...] [--clean N] [--only FAULT ...]``
-RIG is filmed by `ggvs-eval film`, so that its cameras are exact; their gains are divided out. Each fault is planted in one
-camera of each rig, at each size; a fault counts as found where the right question names that camera, and at the right time. Clean
-takes are parts of the rigs - other cameras, other frames, new sensor noise, lamps that fade - of which every warning is false.
+RIG is filmed by `ggvs-eval film`, so that its cameras are exact; their gains are divided out. Each
+fault is planted in one camera of each rig, at each size; a fault counts as found where the right
+question names that camera, and at the right time. Clean takes are parts of the rigs - other
+cameras, other frames, new sensor noise, lamps that fade - of which every warning is false.
 """
 
 import argparse
@@ -59,7 +61,8 @@ class Fault:
         question: that should find it.
         sizes: ascending.
         unit: of the sizes.
-        plant: frames (SPARE more than are kept), size, frame at which it happens and random numbers -> spoilt frames.
+        plant: frames (SPARE more than are kept), size, frame at which it happens and random numbers
+            -> spoilt frames.
         is_sudden: it happens at one frame, which the finding must name within two.
     """
 
@@ -107,7 +110,9 @@ def lose(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Fra
 
 def double(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Frames:
     """Return a frame comes twice, and all later ones come late; noise makes the second look new."""
-    again = [np.clip(frames[at] + rng.normal(0, 1.5, frames[at].shape), 0, 255).astype(np.uint8)] * int(count)
+    again = [
+        np.clip(frames[at] + rng.normal(0, 1.5, frames[at].shape), 0, 255).astype(np.uint8)
+    ] * int(count)
     return frames[: at + 1] + again + frames[at + 1 :]
 
 
@@ -119,7 +124,9 @@ def delay(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Fr
 FAULTS: Mapping[str, Fault] = {
     "bumped": Fault("stands still", (1.0, 1.5, 2.0, 3.0, 6.0), "px", bump),
     "turned": Fault("stands still", (0.3, 0.6, 1.2), "deg", turn),
-    "exposure drifts": Fault("colour over time", (0.03, 0.05, 0.07, 0.1, 0.2), "of 1", expose_longer, is_sudden=False),
+    "exposure drifts": Fault(
+        "colour over time", (0.03, 0.05, 0.07, 0.1, 0.2), "of 1", expose_longer, is_sudden=False
+    ),
     "white balance jumps": Fault("colour over time", (0.03, 0.05, 0.1), "of 1", redden),
     "brighter": Fault("colour gain", (0.05, 0.07, 0.1, 0.15), "of 1", brighten, is_sudden=False),
     "frame lost": Fault("dropped frames", (1,), "frames", lose),
@@ -131,7 +138,9 @@ ZOOM, ZOOMS = "zoomed, shared intrinsics", (1.02, 1.04, 1.08)
 
 def warp(frame: Image8, move: np.ndarray) -> Image8:
     """Return the picture moved by an affine map."""
-    return cv2.warpAffine(frame, move, frame.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(
+        frame, move, frame.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def scale(frame: Image8, gain: object) -> Image8:
@@ -140,7 +149,9 @@ def scale(frame: Image8, gain: object) -> Image8:
 
 
 def even_gains(capture: Capture) -> Capture:
-    """Return the capture, in memory, with the gains that `demo.json` gives of its cameras divided out."""
+    """Return the capture, in memory, with the gains that `demo.json` gives of its cameras divided
+    out.
+    """
     gains = json.loads((capture.path / DEMO_NOTES).read_text(encoding="utf-8"))["camera_gains"]
     frames = (
         [scale(frame, 1 / np.array(gain)) for frame in capture.frames(name)]
@@ -165,18 +176,37 @@ class Take:
     def check(self, spoilt: Mapping[str, CameraRecord]) -> tuple[Finding, ...]:
         """Findings with some cameras spoilt."""
         records = {**self._records, **spoilt}
-        return examine(ExaminedRig(self._shown({}), [records[name] for name in self.capture.camera_names]))
+        return examine(
+            ExaminedRig(self._shown({}), [records[name] for name in self.capture.camera_names])
+        )
 
     def _shown(self, other: Mapping[str, Frames]) -> Capture:
-        sources = [KeptFrames((other.get(name) or self.frames[name])[: self.n_frames]) for name in self.capture.camera_names]
+        sources = [
+            KeptFrames((other.get(name) or self.frames[name])[: self.n_frames])
+            for name in self.capture.camera_names
+        ]
         return replace(self.capture, sources=tuple(sources), n_frames=self.n_frames)
 
 
-def is_found(findings: Sequence[Finding], fault: Fault, camera: str, at: int) -> tuple[bool, list[str]]:
+def is_found(
+    findings: Sequence[Finding], fault: Fault, camera: str, at: int
+) -> tuple[bool, list[str]]:
     """Return whether the right question names the camera at the right time, and other warnings."""
-    minded = [finding for finding in findings if finding.verdict in ("warn", "bad") and finding.question not in PLACING]
-    own = [finding for finding in minded if finding.subject == camera and finding.question == fault.question]
-    others = [f"{finding.subject} {finding.question}" for finding in minded if finding.subject not in (camera, RIG)]
+    minded = [
+        finding
+        for finding in findings
+        if finding.verdict in ("warn", "bad") and finding.question not in PLACING
+    ]
+    own = [
+        finding
+        for finding in minded
+        if finding.subject == camera and finding.question == fault.question
+    ]
+    others = [
+        f"{finding.subject} {finding.question}"
+        for finding in minded
+        if finding.subject not in (camera, RIG)
+    ]
     if not own or not fault.is_sudden:
         return bool(own), others
     times = own[0].values.get("steps") or [own[0].values]
@@ -201,11 +231,17 @@ def smallest_faults(rigs: Sequence[Path], only: Sequence[str]) -> None:
                 accused += others
                 if not ok:
                     print(f"    missed: {rigs[number].name} {camera} at {at}", flush=True)
-            print(f"| {name} | {size:g} {fault.unit} | {found} of {len(takes)} | {', '.join(accused) or '-'} |", flush=True)
+            print(
+                f"| {name} | {size:g} {fault.unit} | {found} of {len(takes)} | "
+                f"{', '.join(accused) or '-'} |",
+                flush=True,
+            )
 
 
 def zoomed_rigs(rigs: Sequence[Path]) -> None:
-    """Print how often a camera that is zoomed is named by a calibration that takes all lenses for one."""
+    """Print how often a camera that is zoomed is named by a calibration that takes all lenses for
+    one.
+    """
     for zoom in (1.0, *ZOOMS):
         found, n_calibrated, accused = 0, 0, []
         for number, path in enumerate(rigs):
@@ -217,16 +253,29 @@ def zoomed_rigs(rigs: Sequence[Path]) -> None:
                     frame = capture.frame(name, 0)
                     height, width = frame.shape[:2]
                     move = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0, zoom)
-                    write_video(Path(folder) / "table" / f"{name}.mp4", [warp(frame, move) if name == camera else frame], 30.0)
+                    write_video(
+                        Path(folder) / "table" / f"{name}.mp4",
+                        [warp(frame, move) if name == camera else frame],
+                        30.0,
+                    )
                 options = CalibrationOptions(shared_intrinsics=True, camera_model="SIMPLE_RADIAL")
                 try:
-                    odd = calibrate(Path(folder) / "table", Path(folder) / "rig", options).odd_lenses
+                    odd = calibrate(
+                        Path(folder) / "table", Path(folder) / "rig", options
+                    ).odd_lenses
                 except CaptureError:
                     continue  # a rig whose cameras are too far apart for features
             n_calibrated += 1
             found += camera in odd and zoom != 1
-            accused += [f"{name} x {lens.factor:.3f}" for name, lens in odd.items() if name != camera or zoom == 1]
-        print(f"| {ZOOM} | x {zoom:g} | {found} of {n_calibrated} | {', '.join(accused) or '-'} |", flush=True)
+            accused += [
+                f"{name} x {lens.factor:.3f}"
+                for name, lens in odd.items()
+                if name != camera or zoom == 1
+            ]
+        print(
+            f"| {ZOOM} | x {zoom:g} | {found} of {n_calibrated} | {', '.join(accused) or '-'} |",
+            flush=True,
+        )
 
 
 def false_alarms(rigs: Sequence[Path], count: int) -> None:
@@ -243,15 +292,30 @@ def false_alarms(rigs: Sequence[Path], count: int) -> None:
         sources = []
         for index in chosen:
             frames = capture.frames(capture.camera_names[index], start, start + n_frames)
-            noisy = [scale(frame + rng.normal(0, sigma, frame.shape), lamp) for frame, lamp in zip(frames, lamps, strict=True)]
+            noisy = [
+                scale(frame + rng.normal(0, sigma, frame.shape), lamp)
+                for frame, lamp in zip(frames, lamps, strict=True)
+            ]
             sources.append(KeptFrames(noisy))
         cameras = tuple(capture.cameras[index] for index in chosen)
-        take = replace(capture, cameras=cameras, sources=tuple(sources), n_frames=n_frames, extras=())
-        findings = examine(ExaminedRig(take, [record_camera(take, name) for name in take.camera_names]))
-        false = [each for each in findings if each.verdict in ("warn", "bad") and each.question not in PLACING]
+        take = replace(
+            capture, cameras=cameras, sources=tuple(sources), n_frames=n_frames, extras=()
+        )
+        findings = examine(
+            ExaminedRig(take, [record_camera(take, name) for name in take.camera_names])
+        )
+        false = [
+            each
+            for each in findings
+            if each.verdict in ("warn", "bad") and each.question not in PLACING
+        ]
         alarms += bool(false)
         for each in false:
-            print(f"    {capture.path.name}: {each.subject} {each.question} {each.verdict}: {each.measured}", flush=True)
+            print(
+                f"    {capture.path.name}: {each.subject} {each.question} {each.verdict}: "
+                f"{each.measured}",
+                flush=True,
+            )
     print(f"| clean takes with any warning | {alarms} of {count} |", flush=True)
 
 

@@ -1,8 +1,10 @@
-"""Estimated scores of perfect renderings and the real ones, of rooms that are filmed twice and coded.
+"""Estimated scores of perfect renderings and the real ones, of rooms that are filmed twice and
+coded.
 
     python -m benchmarks.ceiling_accuracy [--seeds 11 12 13] [--crfs 0 12 23] [--sigmas 0.5 1 2 4]
 
-Each room is filmed without noise and twice with noise of other seeds (`demo --noise-seed`); the estimate sees one noisy film.
+Each room is filmed without noise and twice with noise of other seeds (`demo --noise-seed`); the
+estimate sees one noisy film.
 """
 
 import tempfile
@@ -86,20 +88,35 @@ class Comparison:
 
 def film(options: DemoOptions, camera: int, instants: Sequence[Instant]) -> list[Image8]:
     """Film one camera of a room, before any codec."""
-    return [frame.image for frame in Footage(options, rig_shots(options)[camera], instants.__getitem__).frames()]
+    return [
+        frame.image
+        for frame in Footage(options, rig_shots(options)[camera], instants.__getitem__).frames()
+    ]
 
 
-def compare(clean: Sequence[Image8], first: Sequence[Image8], second: Sequence[Image8], crf: float) -> dict[str, Comparison]:
+def compare(
+    clean: Sequence[Image8], first: Sequence[Image8], second: Sequence[Image8], crf: float
+) -> dict[str, Comparison]:
     """Return both ceilings of the first of two recordings, coded at a rate factor."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{number}.mp4" for number in (1, 2)]
         for path, frames in zip(paths, (first, second), strict=True):
             write_video(path, frames, 30, crf)
         captured, again = (list(VideoFrames(path).frames(0, len(clean))) for path in paths)
-        bounds = ceilings(lambda: iter(captured), ceiling_metrics(), coding=read_coding(paths[0], range(len(clean))))
-    scored = score_views(((pair[:2], pair[2]) for pair in zip(clean, again, captured, strict=True)), ceiling_metrics())
+        bounds = ceilings(
+            lambda: iter(captured),
+            ceiling_metrics(),
+            coding=read_coding(paths[0], range(len(clean))),
+        )
+    scored = score_views(
+        ((pair[:2], pair[2]) for pair in zip(clean, again, captured, strict=True)),
+        ceiling_metrics(),
+    )
     real = [
-        {name: float(np.mean([value for other, _, value in one.values if other == name])) for name in ceiling_metrics()}
+        {
+            name: float(np.mean([value for other, _, value in one.values if other == name]))
+            for name in ceiling_metrics()
+        }
         for one in scored
     ]
     return {
@@ -118,12 +135,16 @@ def compare_rooms(options: Options) -> Iterator[tuple[str, str, Comparison]]:
             height=options.height,
             n_frames=options.n_frames,
         )
-        instants = [lit_room(seed, room.scene).at(index / room.fps) for index in range(room.n_frames)]
+        instants = [
+            lit_room(seed, room.scene).at(index / room.fps) for index in range(room.n_frames)
+        ]
         for camera in options.cameras:
             clean = film(replace(room, noise_sigma_255=0), camera, instants)
             for sigma in options.sigmas:
                 noisy = replace(room, noise_sigma_255=sigma)
-                recordings = [film(replace(noisy, noise_seed=number), camera, instants) for number in (1, 2)]
+                recordings = [
+                    film(replace(noisy, noise_seed=number), camera, instants) for number in (1, 2)
+                ]
                 for crf in options.crfs:
                     for kind, comparison in compare(clean, *recordings, crf).items():
                         yield f"{seed}, camera {camera} | {crf:g} | {sigma:g}", kind, comparison
@@ -135,7 +156,11 @@ def main(options: Options) -> None:
     print(f"| room | crf | noise | ceiling | {' | '.join(ceiling_metrics())} |")
     print("| --- | ---: | ---: | --- |" + " --- |" * len(ceiling_metrics()))
     for film_name, kind, comparison in compare_rooms(options):
-        print(f"| {film_name} | {kind} | {' | '.join(comparison.cell(name) for name in ceiling_metrics())} |", flush=True)
+        print(
+            f"| {film_name} | {kind} | "
+            f"{' | '.join(comparison.cell(name) for name in ceiling_metrics())} |",
+            flush=True,
+        )
         held += [comparison.holds(name) for name in ceiling_metrics()]
     print(f"\n{held.count(True)} hold, {held.count(False)} do not, {held.count(None)} are unknown")
 

@@ -1,8 +1,9 @@
-"""COLMAP consistency of a run's camera path against its controls: what must score high does, and what must not does not.
+"""COLMAP consistency of a run's camera path against its controls: what must score high does, and
+what must not does not.
 
 ``python -m benchmarks.colmap_controls RUN [--every 2] [--out out/colmap_controls.json]``
-RUN is a scored run whose capture has true images along the path, as the demo's. The true path is spoilt in ways that a measure
-without truth might like; the methods of the run are below.
+RUN is a scored run whose capture has true images along the path, as the demo's. The true path is
+spoilt in ways that a measure without truth might like; the methods of the run are below.
 """
 
 import argparse
@@ -33,16 +34,27 @@ def _shuffled(images: Images) -> Images:
 
 
 def _noise(images: Images) -> Images:
-    return [np.random.default_rng(index).integers(0, 256, image.shape, dtype=np.uint8) for index, image in enumerate(images)]
+    return [
+        np.random.default_rng(index).integers(0, 256, image.shape, dtype=np.uint8)
+        for index, image in enumerate(images)
+    ]
 
 
 def _noisy(images: Images) -> Images:
-    grain = (np.random.default_rng(index).normal(0, NOISE_255, image.shape) for index, image in enumerate(images))
-    return [np.clip(np.rint(image + one), 0, 255).astype(np.uint8) for image, one in zip(images, grain, strict=True)]
+    grain = (
+        np.random.default_rng(index).normal(0, NOISE_255, image.shape)
+        for index, image in enumerate(images)
+    )
+    return [
+        np.clip(np.rint(image + one), 0, 255).astype(np.uint8)
+        for image, one in zip(images, grain, strict=True)
+    ]
 
 
 def _blurred(images: Images) -> Images:
-    return [np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX), dtype=np.uint8) for image in images]
+    return [
+        np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX), dtype=np.uint8) for image in images
+    ]
 
 
 CONTROLS: dict[str, Callable[[Images], Images]] = {
@@ -57,7 +69,9 @@ CONTROLS: dict[str, Callable[[Images], Images]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line per control and method, and write them all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("run", type=Path)
     parser.add_argument("--every", type=int, default=2, help="use every Nth pose")
     parser.add_argument("--out", type=Path, default=Path("out/colmap_controls.json"))
@@ -69,17 +83,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def measure(run: RunFolder, every: int) -> dict[str, dict[str, Any]]:
-    """Return the name of a control or method -> what `colmap_consistency` says, and the sharpness."""
+    """Return the name of a control or method -> what `colmap_consistency` says, and the
+    sharpness.
+    """
     record = read_json(run.path_record)["cameras"]
     poses = range(0, len(record), every)
     cameras = [Camera.from_json(f"path{pose:04d}", record[pose]) for pose in poses]
     true = _images(run, "truth", poses)
     paths: dict[str, Images] = {name: control(true) for name, control in CONTROLS.items()}
-    paths |= {label: _images(run, label, poses) for label in run.labels() if not missing_frames(run.path(label), poses)}
+    paths |= {
+        label: _images(run, label, poses)
+        for label in run.labels()
+        if not missing_frames(run.path(label), poses)
+    }
     measured: dict[str, dict[str, Any]] = {}
     for name, images in paths.items():
         consistency = colmap_consistency(images, cameras)
-        measured[name] = asdict(consistency) | {"sharpness": float(np.mean([sharpness(image) for image in images]))}
+        measured[name] = asdict(consistency) | {
+            "sharpness": float(np.mean([sharpness(image) for image in images]))
+        }
         print(f"{name}: {measured[name]}", flush=True)
     for name in ("true path", "shuffled"):
         measured[f"{name}, cameras unknown"] = asdict(colmap_consistency(paths[name])) | {

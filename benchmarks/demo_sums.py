@@ -1,9 +1,11 @@
-"""Sums of everything that the quick demo and the three demo rooms make: ``python -m benchmarks.demo_sums OUT --against FILE``.
+"""Sums of everything that the quick demo and the three demo rooms make: ``python -m
+benchmarks.demo_sums OUT --against FILE``.
 
-A change of structure changes no result: pictures, depth maps and tables of two revisions are the same bytes. OUT/sums.json has
-the SHA-256 of each; with ``--against``, what differs from the sums of another revision is printed, and the exit status is 1. One
-process works (``--jobs 1``), some half an hour; with ``--quick`` the rooms are left out. Tables of times always are, as no two
-runs agree on them.
+A change of structure changes no result: pictures, depth maps and tables of two revisions are the
+same bytes. OUT/sums.json has the SHA-256 of each; with ``--against``, what differs from the sums of
+another revision is printed, and the exit status is 1. One process works (``--jobs 1``), some half
+an hour; with ``--quick`` the rooms are left out. Tables of times always are, as no two runs agree
+on them.
 """
 
 import argparse
@@ -44,7 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked.out.mkdir(parents=True, exist_ok=True)
     for command in QUICK if asked.quick else (*QUICK, *ROOMS):
         status = subprocess.run(
-            [sys.executable, "-m", "ggvs_eval", *command], cwd=asked.out, check=False, stdout=subprocess.DEVNULL
+            [sys.executable, "-m", "ggvs_eval", *command],
+            cwd=asked.out,
+            check=False,
+            stdout=subprocess.DEVNULL,
         ).returncode
         if status not in ((0, FOUND) if command[0] == "doctor" else (0,)):
             print(f"ggvs-eval {' '.join(command)} ended with {status}", file=sys.stderr)
@@ -56,7 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def digests(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Yield each picture, depth map and table with its SHA-256, without what is measured in seconds and bytes."""
+    """Yield each picture, depth map and table with its SHA-256, without what is measured in seconds
+    and bytes.
+    """
     for file in sorted(folder.rglob("*")):
         if not file.is_file() or file.name == "k.png":  # which draws seconds over K
             continue
@@ -78,9 +85,17 @@ def digests(folder: Path) -> Iterator[tuple[Path, str]]:
 
 def compare(sums: dict[str, str], others: dict[str, str]) -> int:
     """Print what differs; 1 if anything does."""
-    differing = sorted(name for name in sums.keys() | others.keys() if sums.get(name) != others.get(name))
+    differing = sorted(
+        name for name in sums.keys() | others.keys() if sums.get(name) != others.get(name)
+    )
     for name in differing:
-        what = "differs" if name in sums and name in others else "is new" if name in sums else "is missing"
+        what = (
+            "differs"
+            if name in sums and name in others
+            else "is new"
+            if name in sums
+            else "is missing"
+        )
         print(f"{name} {what}")
     print(f"{len(differing)} of {len(sums.keys() | others.keys())} differ")
     return int(bool(differing))

@@ -1,7 +1,9 @@
-"""Methods compared per domain: ``python -m benchmarks.domain_validation``, a part of ``make validate``.
+"""Methods compared per domain: ``python -m benchmarks.domain_validation``, a part of ``make
+validate``.
 
-Prints a table of methods by domains for each metric and writes out/validate_domains.json. Choices may be made by it: it shows
-validation seeds and the held-back part of the real sequence, never a test capture.
+Prints a table of methods by domains for each metric and writes out/validate_domains.json. Choices
+may be made by it: it shows validation seeds and the held-back part of the real sequence, never a
+test capture.
 """
 
 import argparse
@@ -11,7 +13,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmarks.domain_views import REAL, REAL_CAPTURE, REAL_TITLE, View, ViewPlan, prepare_views, real_capture
+from benchmarks.domain_views import (
+    REAL,
+    REAL_CAPTURE,
+    REAL_TITLE,
+    View,
+    ViewPlan,
+    prepare_views,
+    real_capture,
+)
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.worlds.domains import DOMAINS
 from ggvs_eval.errors import WeightsError
@@ -39,12 +49,26 @@ def main() -> None:
     arguments = _arguments()
     methods = {label: find_method(label).make for label in arguments.methods}
     plan = ViewPlan(
-        arguments.targets, arguments.views, arguments.frames, arguments.seeds, arguments.matcher, alone=arguments.alone
+        arguments.targets,
+        arguments.views,
+        arguments.frames,
+        arguments.seeds,
+        arguments.matcher,
+        alone=arguments.alone,
     )
-    scores = validate_domains(methods, arguments.out / "domains", arguments.domains, plan, arguments.data, workers=arguments.jobs)
+    scores = validate_domains(
+        methods,
+        arguments.out / "domains",
+        arguments.domains,
+        plan,
+        arguments.data,
+        workers=arguments.jobs,
+    )
     print(show_tables(scores))
     absent = REAL in arguments.domains and REAL not in set(scores["domain"])
-    not_computed = [f"{REAL_TITLE}: no {REAL_CAPTURE} in {arguments.data}; give --data"] if absent else []
+    not_computed = (
+        [f"{REAL_TITLE}: no {REAL_CAPTURE} in {arguments.data}; give --data"] if absent else []
+    )
     for line in not_computed:
         print(f"not computed: {line}")
     write_scores(arguments.out / "validate_domains.json", scores, list(methods), not_computed)
@@ -64,7 +88,8 @@ def validate_domains(
     """Score methods on the views of domains.
 
     Args:
-        methods: how each is made, afresh for each view: a label of the registry, or any candidate, needs no file.
+        methods: how each is made, afresh for each view: a label of the registry, or any candidate,
+            needs no file.
         cache: where captures and depth are kept, so that another call only renders.
         domains: their names; the real sequence takes part only where `data` has it.
         plan: which views.
@@ -73,12 +98,16 @@ def validate_domains(
         perceptual: whether LPIPS is computed too, which takes longer than rendering.
 
     Returns:
-        One row per domain, view and method: PSNR in dB, SSIM, LPIPS (NaN where its weights have not been fetched), and of views
-        with several instants STED.
+        One row per domain, view and method: PSNR in dB, SSIM, LPIPS (NaN where its weights have not
+        been fetched), and of views with several instants STED.
     """
     present = [name for name in domains if name != REAL or real_capture(data)]
     views = prepare_views(cache, present, plan, data, workers)
-    rows = [row for view in track(views, "views of the domains", len(views)) for row in score_view(view, methods, perceptual)]
+    rows = [
+        row
+        for view in track(views, "views of the domains", len(views))
+        for row in score_view(view, methods, perceptual)
+    ]
     return pd.DataFrame(rows)
 
 
@@ -94,7 +123,9 @@ def score_view(view: View, methods: Makers, perceptual: bool = True) -> list[dic
         row: dict[str, object] = {"domain": view.domain, "view": view.name, "method": label}
         row["PSNR"] = float(np.mean([psnr(*pair) for pair in zip(rendered, truths, strict=True)]))
         row["SSIM"] = float(np.mean([ssim(*pair) for pair in zip(rendered, truths, strict=True)]))
-        row["LPIPS"] = float(np.mean([_lpips(image, truth) for image, truth in zip(rendered, features, strict=True)]))
+        row["LPIPS"] = float(
+            np.mean([_lpips(image, truth) for image, truth in zip(rendered, features, strict=True)])
+        )
         if len(rendered) > 1:
             row["STED"] = float(strred(rendered, truths).strred)
         rows.append(row)
@@ -102,12 +133,15 @@ def score_view(view: View, methods: Makers, perceptual: bool = True) -> list[dic
 
 
 def mean_scores(scores: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """Means of a metric, methods by domains in the order in which they came, with the mean over domains as the last column.
+    """Means of a metric, methods by domains in the order in which they came, with the mean over
+    domains as the last column.
 
     Below them, for each method after the first, the first one minus it.
     """
     table = scores.pivot_table(metric, "method", "domain", "mean", sort=False)
-    table = table.reindex(index=scores["method"].unique(), columns=scores["domain"].unique()).dropna(axis=1, how="all")
+    table = table.reindex(
+        index=scores["method"].unique(), columns=scores["domain"].unique()
+    ).dropna(axis=1, how="all")
     first, *others = table.index
     for other in others:
         table.loc[DIFFERENCE.format(first, other)] = table.loc[first] - table.loc[other]
@@ -120,11 +154,14 @@ def show_tables(scores: pd.DataFrame) -> str:
     for metric, form in METRICS.items():
         if metric in scores and scores[metric].notna().any():
             table = mean_scores(scores, metric)
-            blocks.append(f"{metric}\n{table.to_string(float_format=lambda value, form=form: format(value, form))}")
+            text = table.to_string(float_format=lambda value, form=form: format(value, form))
+            blocks.append(f"{metric}\n{text}")
     return "\n\n".join(blocks)
 
 
-def write_scores(path: Path, scores: pd.DataFrame, methods: list[str], not_computed: list[str]) -> None:
+def write_scores(
+    path: Path, scores: pd.DataFrame, methods: list[str], not_computed: list[str]
+) -> None:
     """Write every row, the means, and what was left out."""
     means = {
         metric: mean_scores(scores, metric).round(5).to_dict(orient="index")
@@ -133,7 +170,16 @@ def write_scores(path: Path, scores: pd.DataFrame, methods: list[str], not_compu
     }
     rows = scores.astype(object).where(scores.notna(), None).to_dict(orient="records")
     command = "python -m benchmarks.domain_validation"
-    write_json(path, {"command": command, "methods": methods, "means": means, "rows": rows, "not_computed": not_computed})
+    write_json(
+        path,
+        {
+            "command": command,
+            "methods": methods,
+            "means": means,
+            "rows": rows,
+            "not_computed": not_computed,
+        },
+    )
 
 
 def _features(truth: Image8) -> object | None:
@@ -145,22 +191,48 @@ def _features(truth: Image8) -> object | None:
 
 
 def _lpips(rendered: Image8, truth: object | None) -> float:
-    return float("nan") if truth is None else lpips_between(lpips_features(rendered, LPIPS_NET), truth, LPIPS_NET)
+    return (
+        float("nan")
+        if truth is None
+        else lpips_between(lpips_features(rendered, LPIPS_NET), truth, LPIPS_NET)
+    )
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--methods", nargs="+", default=list(METHODS), help="labels; the first is checked against the others")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        default=list(METHODS),
+        help="labels; the first is checked against the others",
+    )
     parser.add_argument("--domains", nargs="+", default=[*DOMAINS, REAL], choices=[*DOMAINS, REAL])
-    parser.add_argument("--seeds", type=int, default=1, help="how many of the three validation seeds")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="how many of the three validation seeds"
+    )
     parser.add_argument("--targets", type=int, default=3, help="target views per seed")
     parser.add_argument("--views", type=int, default=4, help="K")
-    parser.add_argument("--frames", type=int, default=1, help="instants per view of fixed rigs; 2 or more give STED")
+    parser.add_argument(
+        "--frames", type=int, default=1, help="instants per view of fixed rigs; 2 or more give STED"
+    )
     parser.add_argument("--matcher", default="sgbm", help="whose depth rigs get")
-    parser.add_argument("--alone", action="store_true", help="depth as play and view have it, not checked against other sources'")
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="depth as play and view have it, not checked against other sources'",
+    )
     parser.add_argument("--data", type=Path, default=None, help=f"folder with {REAL_CAPTURE}")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate_domains.json and what is kept")
-    parser.add_argument("--jobs", type=int, default=usable_cpus(), help="processes that film and compute depth")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out"),
+        help="folder for validate_domains.json and what is kept",
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=usable_cpus(), help="processes that film and compute depth"
+    )
     return parser.parse_args()
 
 

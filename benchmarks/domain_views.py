@@ -1,4 +1,5 @@
-"""The views by which choices are made, of every domain: what a method is shown of them, kept on disk, and what it should show.
+"""The views by which choices are made, of every domain: what a method is shown of them, kept on
+disk, and what it should show.
 
 Captures are rendered once, depth is computed once: another call with other weights only renders.
 """
@@ -12,10 +13,21 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.training.instant_samples import InstantSample, camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.contrib.training.instant_samples import (
+    InstantSample,
+    camera_arrays,
+    stored_arrays,
+    stored_cameras,
+    write_arrays,
+)
 from ggvs_eval.contrib.training.samples.capture_source import draw_views, held_back_halves
 from ggvs_eval.contrib.training.samples.samples import SampleMaker
-from ggvs_eval.contrib.training.samples.training_data import HELD_BACK, choose_views, domain_validation_plan, room_options
+from ggvs_eval.contrib.training.samples.training_data import (
+    HELD_BACK,
+    choose_views,
+    domain_validation_plan,
+    room_options,
+)
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS, find_domain
 from ggvs_eval.datasets import open_capture
@@ -70,13 +82,17 @@ class View:
     files: tuple[Path, ...]
 
     def samples(self) -> Iterator[InstantSample]:
-        """Yield, instant by instant, what a method is given of the view and what the target's camera saw."""
+        """Yield, instant by instant, what a method is given of the view and what the target's
+        camera saw.
+        """
         for index, file in enumerate(self.files):
             sample = read_view(file)
             yield replace(sample, instant=replace(sample.instant, index=index))
 
 
-def prepare_views(cache: Path, domains: Iterable[str], plan: ViewPlan, data: Path | None = None, workers: int = 1) -> list[View]:
+def prepare_views(
+    cache: Path, domains: Iterable[str], plan: ViewPlan, data: Path | None = None, workers: int = 1
+) -> list[View]:
     """Return the views of domains; what is not on disk yet is rendered and gets its depth.
 
     Args:
@@ -90,19 +106,28 @@ def prepare_views(cache: Path, domains: Iterable[str], plan: ViewPlan, data: Pat
     for name in domains:
         seeds: Sequence[int] = (0,) if name == REAL else VALIDATION_SEEDS[: plan.seeds]
         jobs += [(cache, name, seed, plan, data) for seed in seeds]
-    missing = [job for job in jobs if not all(file.is_file() for view in views_of(*job[:4]) for file in view.files)]
+    missing = [
+        job
+        for job in jobs
+        if not all(file.is_file() for view in views_of(*job[:4]) for file in view.files)
+    ]
     if workers == 1:
         for job in missing:
             make_views(*job)
     elif missing:
         with worker_pool(min(workers, len(missing))) as pool:
-            finish_all(pool, [pool.submit(make_views, *job) for job in missing], "captures of the domains")
+            finish_all(
+                pool, [pool.submit(make_views, *job) for job in missing], "captures of the domains"
+            )
     return [view for job in jobs for view in views_of(*job[:4])]
 
 
 def views_of(cache: Path, domain: str, seed: int, plan: ViewPlan) -> list[View]:
     """Return the views of one capture, whether they are on disk or not."""
-    folder, hand_held = cache / f"views-{_digest(domain, seed, plan)}", domain == REAL or find_domain(domain).hand_held
+    folder, hand_held = (
+        cache / f"views-{_digest(domain, seed, plan)}",
+        domain == REAL or find_domain(domain).hand_held,
+    )
     views = []
     for number in range(plan.targets):
         frames = range(1 if hand_held else plan.frames)
@@ -113,13 +138,22 @@ def views_of(cache: Path, domain: str, seed: int, plan: ViewPlan) -> list[View]:
 
 def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path | None) -> None:
     """Film one capture, or open the real one, and write its views that are not there yet."""
-    capture, choices = _real(data, plan) if domain == REAL else render_domain(cache, domain, seed, plan)
+    capture, choices = (
+        _real(data, plan) if domain == REAL else render_domain(cache, domain, seed, plan)
+    )
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
         options = DepthRunOptions(plan.matcher).options()
-        maker = SampleMaker(capture, replace(options, consistency=False) if plan.alone else options, frame)
-        for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
+        maker = SampleMaker(
+            capture, replace(options, consistency=False) if plan.alone else options, frame
+        )
+        for view, (target, sources) in zip(
+            views_of(cache, domain, seed, plan), choices, strict=True
+        ):
             if not view.files[frame].is_file():
-                write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.image(target)))
+                write_view(
+                    view.files[frame],
+                    InstantSample(maker.instant(target, sources), maker.image(target)),
+                )
 
 
 def real_capture(data: Path | None) -> Path | None:
@@ -132,7 +166,9 @@ Choices = list[tuple[Camera, list[Camera]]]
 
 def render_domain(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[Capture, Choices]:
     """Film a procedural capture, once, and draw its views: targets with their sources."""
-    rooms = domain_validation_plan(domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size)
+    rooms = domain_validation_plan(
+        domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size
+    )
     options = room_options(seed, rooms)
     if not find_domain(domain).hand_held:
         options = replace(options, n_frames=plan.frames)
@@ -142,23 +178,37 @@ def render_domain(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[
 
 
 def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
-    """Return the held-back part of the real sequence; its views are drawn as those of any sequence that networks learn from."""
+    """Return the held-back part of the real sequence.
+
+    Its views are drawn as those of any sequence that networks learn from.
+    """
     path = real_capture(data)
     if path is None:
-        raise CaptureError(f"{data}: wanted a folder with the capture {REAL_CAPTURE}, got none; give --data")
+        raise CaptureError(
+            f"{data}: wanted a folder with the capture {REAL_CAPTURE}, got none; give --data"
+        )
     held_back = held_back_halves(open_capture(path))[1]
     rule = replace(HELD_BACK, targets=plan.targets, views=plan.views, matcher=plan.matcher)
-    return held_back, [draw_views(held_back, rule, REAL_CAPTURE, number) for number in range(plan.targets)]
+    return held_back, [
+        draw_views(held_back, rule, REAL_CAPTURE, number) for number in range(plan.targets)
+    ]
 
 
 def _digest(domain: str, seed: int, plan: ViewPlan) -> str:
     """Return the names all that views depend on but their number."""
     depth = DepthRunOptions(plan.matcher).options()
     described = [str(each) for each in (depth.describe(), describe_check(), describe_filter())]
-    shared = {name: value for name, value in asdict(plan).items() if name not in ("targets", "seeds")}
+    shared = {
+        name: value for name, value in asdict(plan).items() if name not in ("targets", "seeds")
+    }
     if domain != REAL:
-        rooms = domain_validation_plan(domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size)
-        described += [str(room_options(seed, rooms)), f"{find_domain(domain).gap} {find_domain(domain).span}"]
+        rooms = domain_validation_plan(
+            domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size
+        )
+        described += [
+            str(room_options(seed, rooms)),
+            f"{find_domain(domain).gap} {find_domain(domain).span}",
+        ]
     return digest_values(str(VERSION), domain, str(shared), *described)[:12]
 
 
@@ -168,8 +218,15 @@ def write_view(path: Path, sample: InstantSample) -> None:
     arrays = camera_arrays([instant.target, *(source.camera for source in instant.sources)])
     for index, source in enumerate(instant.sources):
         confidence = np.rint(source.confidence * 255).astype(np.uint8)
-        arrays |= {f"image{index}": source.image, f"depth{index}": source.depth, f"confidence{index}": confidence}
-    write_arrays(path, arrays | {"truth": sample.truth, "units_per_metre": np.float64(instant.units_per_metre)})
+        arrays |= {
+            f"image{index}": source.image,
+            f"depth{index}": source.depth,
+            f"confidence{index}": confidence,
+        }
+    write_arrays(
+        path,
+        arrays | {"truth": sample.truth, "units_per_metre": np.float64(instant.units_per_metre)},
+    )
 
 
 def read_view(path: Path) -> InstantSample:
@@ -183,6 +240,10 @@ def read_view(path: Path) -> InstantSample:
         views = []
         for index, camera in enumerate(cameras):
             confidence = arrays[f"confidence{index}"].astype(np.float32) / np.float32(255)
-            views.append(SourceView(camera, arrays[f"image{index}"], arrays[f"depth{index}"], confidence))
+            views.append(
+                SourceView(camera, arrays[f"image{index}"], arrays[f"depth{index}"], confidence)
+            )
         truth: Image8 = arrays["truth"]
-        return InstantSample(Instant(0, target, tuple(views), float(arrays["units_per_metre"])), truth)
+        return InstantSample(
+            Instant(0, target, tuple(views), float(arrays["units_per_metre"])), truth
+        )

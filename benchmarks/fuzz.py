@@ -1,11 +1,13 @@
-"""Thousands of damaged captures and renders, each read or refused in one line: no traceback, no hang, no more than 2 GB.
+"""Thousands of damaged captures and renders, each read or refused in one line: no traceback, no
+hang, no more than 2 GB.
 
 Command: ``python -m benchmarks.fuzz --inputs 10000 --seed 0``
 
-Every input is a valid capture or set of renders in which one file is damaged (bytes flipped, cut, replaced, inserted, repeated, a
-key of 60 kB) or has given its place to something else (a pipe, a device, an endless file, a folder, a link). The seed and its
-number say which, so that a failure is had again by ``--only KIND --first NUMBER --inputs 1``. They are read in processes of their
-own, so that one that hangs or dies costs itself alone.
+Every input is a valid capture or set of renders in which one file is damaged (bytes flipped, cut,
+replaced, inserted, repeated, a key of 60 kB) or has given its place to something else (a pipe, a
+device, an endless file, a folder, a link). The seed and its number say which, so that a failure is
+had again by ``--only KIND --first NUMBER --inputs 1``. They are read in processes of their own, so
+that one that hangs or dies costs itself alone.
 """
 
 import json
@@ -104,13 +106,18 @@ ADDRESS_BYTES = 12 << 30
 IMPOSTOR_SHARE, KEY_SHARE = 0.15, 0.05
 PICTURES = (".png", ".jpg", ".mp4")
 KINDS = [*(f"capture/{name}" for name in CAPTURES), *(f"renders/{name}" for name in RENDERS)]
-SLOW = {"capture/colmap": 0.1, "capture/multipleview": 0.1}  # their models are read in a process each: fewer of them
+# their models are read in a process each: fewer of them
+SLOW = {"capture/colmap": 0.1, "capture/multipleview": 0.1}
 Outcome = dict[str, Any]
 
 
 def import_everything(path: Path, run: RunFolder) -> str:
     """Import renders into a run; ``imported``, or the line with which they were refused."""
-    archives = [item for item in path.iterdir() if item.name.startswith("theirs.")] if path.is_dir() else []
+    archives = (
+        [item for item in path.iterdir() if item.name.startswith("theirs.")]
+        if path.is_dir()
+        else []
+    )
     try:
         import_renders(run, "mine", archives[0] if archives else path)
         return "imported"
@@ -144,7 +151,10 @@ class FuzzOptions:
 
 
 def main(options: FuzzOptions) -> int:
-    """Run all inputs, print a line per kind and each failure; the exit code says whether there was one."""
+    """Run all inputs, print a line per kind and each failure.
+
+    The exit code says whether there was one.
+    """
     begun_s, record = time.monotonic(), {}
     kinds = [options.only] if options.only else KINDS
     weights = {kind: 1.0 if options.only else SLOW.get(kind, 1.0) for kind in kinds}
@@ -153,32 +163,64 @@ def main(options: FuzzOptions) -> int:
         outcomes = run_kind(kind, options.seed, range(options.first, options.first + count))
         counts = Counter(each["outcome"] for each in outcomes)
         failures = [each for each in outcomes if each["outcome"] not in ("read", "refused")]
-        largest = {"seconds": max(each["seconds"] for each in outcomes), "kib": max(each["kib"] for each in outcomes)}
+        largest = {
+            "seconds": max(each["seconds"] for each in outcomes),
+            "kib": max(each["kib"] for each in outcomes),
+        }
         record[kind] = {"counts": dict(counts), **largest, "failures": failures}
         shown = ", ".join(f"{counts[name]} {name}" for name in sorted(counts))
-        print(f"{kind}: {shown}; at most {largest['seconds']:.1f} s, {largest['kib'] / 1024:.0f} MiB", flush=True)
+        print(
+            f"{kind}: {shown}; at most {largest['seconds']:.1f} s, {largest['kib'] / 1024:.0f} MiB",
+            flush=True,
+        )
         for failure in failures:
-            print(f"  input {failure['number']}, {failure['damage']}: {failure['outcome']}: {failure['message']}", flush=True)
+            print(
+                f"  input {failure['number']}, {failure['damage']}: {failure['outcome']}: "
+                f"{failure['message']}",
+                flush=True,
+            )
     n_inputs = sum(sum(each["counts"].values()) for each in record.values())
     n_failures = sum(len(each["failures"]) for each in record.values())
     print(f"{n_inputs} inputs in {time.monotonic() - begun_s:.0f} s, {n_failures} failures")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps({"seed": options.seed, "inputs": n_inputs, "kinds": record}, indent=1))
+    options.out.write_text(
+        json.dumps({"seed": options.seed, "inputs": n_inputs, "kinds": record}, indent=1)
+    )
     return int(n_failures > 0)
 
 
 def run_kind(kind: str, seed: int, numbers: range) -> list[Outcome]:
-    """Return the outcomes of some inputs of one kind, read in processes that are started again where one ends."""
+    """Return the outcomes of some inputs of one kind, read in processes that are started again
+    where one ends.
+    """
     outcomes: list[Outcome] = []
     while len(outcomes) < len(numbers):
         rest = numbers[len(outcomes) :]
-        command = [sys.executable, "-m", "benchmarks.fuzz", "worker", kind, str(seed), str(rest.start), str(rest.stop)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.fuzz",
+            "worker",
+            kind,
+            str(seed),
+            str(rest.start),
+            str(rest.stop),
+        ]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as process:
             told, why = listen(process)
         outcomes += told
         if len(told) < len(rest):
             outcomes.append(
-                {"number": rest[len(told)], "damage": "?", "outcome": "ended", "message": why, "seconds": LONGEST_S, "kib": 0}
+                {
+                    "number": rest[len(told)],
+                    "damage": "?",
+                    "outcome": "ended",
+                    "message": why,
+                    "seconds": LONGEST_S,
+                    "kib": 0,
+                }
             )
     return outcomes
 
@@ -207,7 +249,11 @@ def work(kind: str, seed: int, numbers: range) -> None:
     with tempfile.TemporaryDirectory() as place:
         root = Path(place)
         written = (CAPTURES if group == "capture" else RENDERS)[name](root / "input")
-        read = read_everything if group == "capture" else partial(import_everything, run=make_run(root / "run"))
+        read = (
+            read_everything
+            if group == "capture"
+            else partial(import_everything, run=make_run(root / "run"))
+        )
         files = sorted(file for file in written.rglob("*") if file.is_file())
         intact = read(written)
         if intact not in (*CAPTURES, "imported"):
@@ -223,7 +269,12 @@ def work(kind: str, seed: int, numbers: range) -> None:
             shutil.rmtree(root / "run" / "renders", ignore_errors=True)
             if number == numbers[-1] and read(written) != intact:
                 raise ValueError(f"{kind}: the valid input does not come back")
-            print(json.dumps({"number": number, "damage": f"{damage} in {file.relative_to(root)}", **outcome}), flush=True)
+            print(
+                json.dumps(
+                    {"number": number, "damage": f"{damage} in {file.relative_to(root)}", **outcome}
+                ),
+                flush=True,
+            )
 
 
 def _chosen(files: list[Path], random: Random) -> Path:
@@ -264,10 +315,16 @@ def _try(read: Any) -> Outcome:
         signal.setitimer(signal.ITIMER_REAL, 0)
     lines = Path("/proc/self/status").read_text().splitlines()
     own_kib = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
-    kib = max(own_kib, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)  # what reads COLMAP's models is a child
+    # what reads COLMAP's models is a child
+    kib = max(own_kib, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
     if kib > LARGEST_KIB:
         outcome = "memory"
-    return {"outcome": outcome, "message": message[:300], "seconds": time.monotonic() - begun_s, "kib": kib}
+    return {
+        "outcome": outcome,
+        "message": message[:300],
+        "seconds": time.monotonic() - begun_s,
+        "kib": kib,
+    }
 
 
 def _too_long(*_: object) -> None:

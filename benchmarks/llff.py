@@ -1,7 +1,9 @@
-"""Tabulate runs on NeRF's Real Forward-Facing set (LLFF) by each way of measuring: ``python -m benchmarks.llff RUN [RUN ...]``.
+"""Tabulate runs on NeRF's Real Forward-Facing set (LLFF) by each way of measuring: ``python -m
+benchmarks.llff RUN [RUN ...]``.
 
-RUN is a folder of `ggvs-eval run RUN --capture SCENE --protocol llff_3view_SCENE`. The way of measuring moves a number more than
-most methods differ, so every way that published values use is shown, each with the values that follow it.
+RUN is a folder of `ggvs-eval run RUN --capture SCENE --protocol llff_3view_SCENE`. The way of
+measuring moves a number more than most methods differ, so every way that published values use is
+shown, each with the values that follow it.
 """
 
 import argparse
@@ -34,7 +36,9 @@ Scores = dict[str, dict[str, np.ndarray]]  # label -> metric -> a value per test
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("runs", type=Path, nargs="+", help="scored run folders, one per scene")
     scenes = {root.name: score_run(RunFolder(root)) for root in parser.parse_args().runs}
     names = {root: read_json(root / "methods.json")["names"] for root in parser.parse_args().runs}
@@ -53,21 +57,29 @@ def score_run(run: RunFolder) -> dict[WayName, Scores]:
             values: dict[str, list[float]] = {metric: [] for metric in METRICS}
             for view in protocol.views.test:
                 read = partial(_pair, run, label, view, measurement)
-                measured = score_view(map(read, protocol.frames.numbers), METRICS, metric_options(measurement))
+                measured = score_view(
+                    map(read, protocol.frames.numbers), METRICS, metric_options(measurement)
+                )
                 for metric, _, value in measured.values:
                     values[metric].append(value)
             scores[way][label] = {metric: np.array(each) for metric, each in values.items()}
     return scores
 
 
-def _pair(run: RunFolder, label: str, view: str, measurement: Measurement, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def _pair(
+    run: RunFolder, label: str, view: str, measurement: Measurement, frame: int
+) -> tuple[np.ndarray, np.ndarray]:
     files = frame_path(run.renders(label, view), frame), frame_path(run.truth(view), frame)
     rendered, truth = (measured_frame(read_image(file), measurement) for file in files)
     return rendered, truth
 
 
-def means_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]) -> Iterator[str]:
-    """Yield the means over the test views of each scene, PSNR / SSIM / LPIPS, and what is published by the same way."""
+def means_table(
+    scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield the means over the test views of each scene, PSNR / SSIM / LPIPS, and what is published
+    by the same way.
+    """
     labels = list(titles)
     yield f"| scene | measured as | {' | '.join(titles[label] for label in labels)} | published |"
     yield "|" + " --- |" * (len(labels) + 3)
@@ -80,27 +92,42 @@ def means_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[
 
 
 def _published(scene: str) -> dict[str, str]:
-    """Return the values of the protocol of a scene by method, which were measured by the way `mvsnerf`."""
+    """Return the values of the protocol of a scene by method, which were measured by the way
+    `mvsnerf`.
+    """
     values: dict[str, dict[str, str]] = {}
     for each in published_values():
         if each.protocol == f"llff_3view_{scene}":
             values.setdefault(each.method, {})[each.metric] = each.value
-    return {method: " / ".join(by_metric[metric] for metric in METRICS) for method, by_metric in values.items()}
+    return {
+        method: " / ".join(by_metric[metric] for metric in METRICS)
+        for method, by_metric in values.items()
+    }
 
 
 def _cell(values: Mapping[str, np.ndarray]) -> str:
     return " / ".join(f"{values[metric].mean():.{DECIMALS[metric]}f}" for metric in METRICS)
 
 
-def differences_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]) -> Iterator[str]:
-    """Tabulate the PSNR of `ours` minus that of every other method, paired by view, with half of the 95 % interval."""
+def differences_table(
+    scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]
+) -> Iterator[str]:
+    """Tabulate the PSNR of `ours` minus that of every other method, paired by view, with half of
+    the 95 % interval.
+    """
     labels = [label for label in titles if label != OURS]
     yield f"| scene | PSNR minus that of | {' | '.join(titles[label] for label in labels)} |"
     yield "| --- | --- |" + " ---: |" * len(labels)
     for scene, ways in scenes.items():
         for way, scores in ways.items():
-            gains = [scores[OURS]["PSNR"] - scores[label]["PSNR"] if label in scores else None for label in labels]
-            cells = ["not run" if gain is None else f"{gain.mean():+.2f} ± {_half_width(gain):.2f}" for gain in gains]
+            gains = [
+                scores[OURS]["PSNR"] - scores[label]["PSNR"] if label in scores else None
+                for label in labels
+            ]
+            cells = [
+                "not run" if gain is None else f"{gain.mean():+.2f} ± {_half_width(gain):.2f}"
+                for gain in gains
+            ]
             yield f"| {scene} | {WAYS[way]} | {' | '.join(cells)} |"
 
 

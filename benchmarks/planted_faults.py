@@ -1,7 +1,8 @@
 """Faults of handling planted in the renders of a run against what the doctor finds.
 
 ``python -m benchmarks.planted_faults RUN [METHOD ...]``
-Every method is first examined as it is, where each finding is a false alarm; then each fault is planted in one of its views.
+Every method is first examined as it is, where each finding is a false alarm; then each fault is
+planted in one of its views.
 """
 
 import argparse
@@ -40,7 +41,8 @@ def examine_method(run: RunFolder, label: str) -> dict[str, str]:
     """Print the findings in each spoilt view of a method, and in all views as they are."""
     cameras = {name: _kept(read) for name, read in cameras_of_run(run).items()}
     views = {
-        name: replace(view, rendered=_kept(view.rendered), truth=cameras[name]) for name, view in views_of_run(run, label).items()
+        name: replace(view, rendered=_kept(view.rendered), truth=cameras[name])
+        for name, view in views_of_run(run, label).items()
     }
     alarms = [f"{one.question} ({one.verdict}) in {one.subject}" for one in examine(views, cameras)]
     answers = {"nothing": ", ".join(alarms) or "nothing"}
@@ -53,9 +55,14 @@ def examine_method(run: RunFolder, label: str) -> dict[str, str]:
 
 def answer(view: Mapping[str, ViewFrames], fault: Fault, cameras: Mapping[str, FrameReader]) -> str:
     """Return the verdict on a planted fault, and what else is said."""
-    findings = examine({name: replace(one, rendered=_kept(fault.spoil(one))) for name, one in view.items()}, cameras)
+    findings = examine(
+        {name: replace(one, rendered=_kept(fault.spoil(one))) for name, one in view.items()},
+        cameras,
+    )
     verdicts = [one.verdict for one in findings if one.question == fault.question]
-    others = [f"also {one.question} ({one.verdict})" for one in findings if one.question != fault.question]
+    others = [
+        f"also {one.question} ({one.verdict})" for one in findings if one.question != fault.question
+    ]
     return ", ".join([verdicts[0] if verdicts else "not found", *others])
 
 

@@ -1,8 +1,10 @@
-"""Gain of refining a calibration: ``python -m benchmarks.refinement_validation``, a part of ``make validate``.
+"""Gain of refining a calibration: ``python -m benchmarks.refinement_validation``, a part of ``make
+validate``.
 
-Two validation rooms of 1344x1008 with ten cameras, calibrated exactly, and roughly: every camera turned, moved and zoomed a
-little, its principal point shifted. Both are then refined from one instant, and each state renders the same views. What an exact
-calibration loses is the price of a refinement that was not needed.
+Two validation rooms of 1344x1008 with ten cameras, calibrated exactly, and roughly: every camera
+turned, moved and zoomed a little, its principal point shifted. Both are then refined from one
+instant, and each state renders the same views. What an exact calibration loses is the price of a
+refinement that was not needed.
 """
 
 import argparse
@@ -31,23 +33,38 @@ from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
+from ggvs_eval.pipelines.offline.calibration.calibrate import (
+    Calibration,
+    CalibrationOptions,
+    calibrate,
+)
 from ggvs_eval.run_folder import write_json
 
 DOMAIN, ROOMS, METHOD = "large", 2, "ours-geometric"
-# Standard deviations of a rough calibration: about what flame_steak's own differs by from a better one.
+# Standard deviations of a rough calibration: about what flame_steak's own differs by from a better
+# one.
 TURN_DEG, CENTRE_SHARE, ZOOM, PRINCIPAL_POINT_PX = 0.05, 0.001, 0.002, 2.0
 COMMAND = "python -m benchmarks.refinement_validation"
 
 
 def main() -> None:
     """Print the table of states and write out/validate_refinement.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate_refinement.json and the rooms")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out"),
+        help="folder for validate_refinement.json and the rooms",
+    )
     out = parser.parse_args().out
     figures = validate_refinement(out / "domains", VALIDATION_SEEDS[:ROOMS])
     print(figures.round(4).to_string())
-    write_json(out / "validate_refinement.json", {"command": COMMAND, "means": figures.round(5).to_dict(orient="index")})
+    write_json(
+        out / "validate_refinement.json",
+        {"command": COMMAND, "means": figures.round(5).to_dict(orient="index")},
+    )
 
 
 def validate_refinement(cache: Path, seeds: Sequence[int]) -> pd.DataFrame:
@@ -58,8 +75,9 @@ def validate_refinement(cache: Path, seeds: Sequence[int]) -> pd.DataFrame:
         seeds: of the rooms.
 
     Returns:
-        A row per state, means over rooms and views: mean reprojection error of the features and median epipolar error of exact
-        matches, both in pixels, PSNR in dB and SSIM of the rendered views.
+        A row per state, means over rooms and views: mean reprojection error of the features and
+        median epipolar error of exact matches, both in pixels, PSNR in dB and SSIM of the rendered
+        views.
     """
     with worker_pool(min(usable_cpus(), len(seeds))) as pool:
         rooms = [pool.submit(_measure_room, cache, seed) for seed in seeds]
@@ -79,7 +97,10 @@ def _measure_room(cache: Path, seed: int) -> list[dict[str, object]]:
             for refine in (False, True):
                 options = CalibrationOptions(known_poses=written, refine=refine)
                 found = calibrate(written / "images", Path(folder) / f"{state}-{refine}", options)
-                row = {"state": f"{state}, refined" if refine else state, "reprojection": found.mean_reprojection_error_px}
+                row = {
+                    "state": f"{state}, refined" if refine else state,
+                    "reprojection": found.mean_reprojection_error_px,
+                }
                 row |= {"contradiction": contradiction_px(exact, found)}
                 rows += [row | scores for scores in render_scores(open_capture(found.path), names)]
     return rows
@@ -92,7 +113,10 @@ def knocked(cameras: Sequence[Camera], seed: int) -> list[Camera]:
     rough = []
     for camera in cameras:
         pose, K = camera.world_to_camera.copy(), camera.K.copy()
-        pose[:3, :3] = Rotation.from_rotvec(np.radians(TURN_DEG) * rng.normal(size=3)).as_matrix() @ pose[:3, :3]
+        pose[:3, :3] = (
+            Rotation.from_rotvec(np.radians(TURN_DEG) * rng.normal(size=3)).as_matrix()
+            @ pose[:3, :3]
+        )
         pose[:3, 3] = -pose[:3, :3] @ (camera.centre + CENTRE_SHARE * extent * rng.normal(size=3))
         K[[0, 1], [0, 1]] *= 1 + ZOOM * rng.normal()
         K[:2, 2] += PRINCIPAL_POINT_PX * rng.normal(size=2)
@@ -101,9 +125,15 @@ def knocked(cameras: Sequence[Camera], seed: int) -> list[Camera]:
 
 
 def write_rig(folder: Path, capture: Capture, cameras: Sequence[Camera]) -> Path:
-    """Write the first instant of a capture with cameras that need not be its own; a point before each says how deep it looks."""
+    """Write the first instant of a capture with cameras that need not be its own.
+
+    A point before each says how deep it looks.
+    """
     grey = np.full((1, 3), 128, np.uint8)
-    sightings = [Sightings(np.array([number]), camera.K[None, :2, 2], grey) for number, camera in enumerate(cameras)]
+    sightings = [
+        Sightings(np.array([number]), camera.K[None, :2, 2], grey)
+        for number, camera in enumerate(cameras)
+    ]
     points = np.array([camera.centre + 3 * camera.near * camera.axis for camera in cameras])
     write_model(folder / "sparse" / "0", cameras, sightings, points)
     for name in capture.camera_names:
@@ -112,7 +142,9 @@ def write_rig(folder: Path, capture: Capture, cameras: Sequence[Camera]) -> Path
 
 
 def contradiction_px(truth: Capture, rig: Calibration) -> float:
-    """Median epipolar error of exact matches between neighbours: how far off a rig looks up what another camera sees."""
+    """Median epipolar error of exact matches between neighbours: how far off a rig looks up what
+    another camera sees.
+    """
     rng, errors = np.random.default_rng(0), []
     for first, second in pairwise(truth.camera_names):
         one, other = truth.camera(first), truth.camera(second)
@@ -123,7 +155,9 @@ def contradiction_px(truth: Capture, rig: Calibration) -> float:
     return float(np.median(np.concatenate(errors)))
 
 
-def render_scores(capture: Capture, names: Sequence[tuple[str, Sequence[str]]]) -> list[dict[str, float]]:
+def render_scores(
+    capture: Capture, names: Sequence[tuple[str, Sequence[str]]]
+) -> list[dict[str, float]]:
     """PSNR and SSIM of views by their sources; the target takes no part in depth."""
     maker, scores = SampleMaker(capture, DepthRunOptions().options()), []
     for target, sources in names:

@@ -1,8 +1,9 @@
 """Bit-equality of results across processors: ``python -m benchmarks.same_bits``.
 
-Libraries choose their code by the instruction sets that they find. Their own variables make them believe in an older processor: a
-small demo is filmed, its depth found, rendered and scored under each setting, and everything is compared with what this processor
-makes alone. A table is printed and written to out/same_bits.json.
+Libraries choose their code by the instruction sets that they find. Their own variables make them
+believe in an older processor: a small demo is filmed, its depth found, rendered and scored under
+each setting, and everything is compared with what this processor makes alone. A table is printed
+and written to out/same_bits.json.
 """
 
 import argparse
@@ -20,7 +21,8 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.run_folder import RunFolder, write_json
 
 NO_AVX = "-AVX,-AVX2,-AVX512F,-FMA,-FMA4"
-# By the generation of processors whose instruction sets are left; the names are those of each library.
+# By the generation of processors whose instruction sets are left; the names are those of each
+# library.
 SETTINGS: dict[str, dict[str, str]] = {
     "this processor": {},
     "OpenBLAS as on Skylake-X": {"OPENBLAS_CORETYPE": "SkylakeX"},
@@ -28,7 +30,10 @@ SETTINGS: dict[str, dict[str, str]] = {
     "OpenBLAS as on Zen": {"OPENBLAS_CORETYPE": "Zen"},
     "NumPy without AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL"},
     "C library without AVX": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={NO_AVX}"},
-    "OpenCV without AVX2, IPP": {"OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX", "OPENCV_IPP": "disabled"},
+    "OpenCV without AVX2, IPP": {
+        "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX",
+        "OPENCV_IPP": "disabled",
+    },
     "oneDNN, ATen with AVX2": {"ONEDNN_MAX_CPU_ISA": "AVX2", "ATEN_CPU_CAPABILITY": "avx2"},
     "Haswell (2013)": {
         "OPENBLAS_CORETYPE": "Haswell",
@@ -56,12 +61,38 @@ SETTINGS: dict[str, dict[str, str]] = {
 }
 CAPTURES = {
     "dynerf": ["--cameras-per-row", "2", "--n-frames", "2", "--path-poses", "0"],
-    "enerf-outdoor": ["--layout", "enerf-outdoor", "--rig", "arc", "--seed", "1", "--cameras-per-row", "2", "--n-frames", "2"],
-    "d3dmv": ["--layout", "d3dmv", "--rig", "grid", "--seed", "2", "--cameras-per-row", "2", "--n-frames", "2"],
+    "enerf-outdoor": [
+        "--layout",
+        "enerf-outdoor",
+        "--rig",
+        "arc",
+        "--seed",
+        "1",
+        "--cameras-per-row",
+        "2",
+        "--n-frames",
+        "2",
+    ],
+    "d3dmv": [
+        "--layout",
+        "d3dmv",
+        "--rig",
+        "grid",
+        "--seed",
+        "2",
+        "--cameras-per-row",
+        "2",
+        "--n-frames",
+        "2",
+    ],
 }
 SIZE = ["--width", "128", "--height", "96"]
 METHODS = ("no-blending", "distance-based", "ours-geometric", "ours", "enerf", "ibrnet")
-SHORT = {'["cam00", "cam03", "cam07"]': '["cam00", "cam01"]', "count = 24": "count = 2", "k = 4": "k = 2"}
+SHORT = {
+    '["cam00", "cam03", "cam07"]': '["cam00", "cam01"]',
+    "count = 24": "count = 2",
+    "k = 4": "k = 2",
+}
 KEY = ["method", "view", "metric", "frame"]
 
 
@@ -91,16 +122,31 @@ class Difference:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run every setting and print what differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/same_bits"), help="folder of the captures and runs")
-    parser.add_argument("--settings", nargs="*", default=list(SETTINGS), help="which of them; the first one is compared with")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/same_bits"), help="folder of the captures and runs"
+    )
+    parser.add_argument(
+        "--settings",
+        nargs="*",
+        default=list(SETTINGS),
+        help="which of them; the first one is compared with",
+    )
     parser.add_argument("--film-only", action="store_true", help="film, and stop there")
     chosen = parser.parse_args(arguments)
-    folders = {name: chosen.out / name.replace(" ", "-").replace(",", "") for name in chosen.settings}
+    folders = {
+        name: chosen.out / name.replace(" ", "-").replace(",", "") for name in chosen.settings
+    }
     for name, folder in folders.items():
         make(folder, SETTINGS[name], chosen.film_only)
     reference, *others = folders
-    table = {name: dict(differences(folders[reference], folders[name], chosen.film_only)) for name in others}
-    write_json(chosen.out.with_suffix(".json"), {name: {s: vars(d) for s, d in row.items()} for name, row in table.items()})
+    table = {
+        name: dict(differences(folders[reference], folders[name], chosen.film_only))
+        for name in others
+    }
+    write_json(
+        chosen.out.with_suffix(".json"),
+        {name: {s: vars(d) for s, d in row.items()} for name, row in table.items()},
+    )
     for name, row in table.items():
         print(name, *(f"  {stage}: {difference}" for stage, difference in row.items()), sep="\n")
 
@@ -125,27 +171,45 @@ def differences(reference: Path, other: Path, film_only: bool) -> Iterator[tuple
         for name, run in (("depth, SGBM", "run"), ("depth, RAFT-Stereo", "raft")):
             yield name, _bytes(RunFolder(reference / run).depth, RunFolder(other / run).depth)
         for method in METHODS:
-            yield f"frames, {method}", _levels(reference / "run/renders" / method, other / "run/renders" / method)
+            yield (
+                f"frames, {method}",
+                _levels(reference / "run/renders" / method, other / "run/renders" / method),
+            )
         yield "scores", _scores(reference / "run", other / "run")
 
 
 def _bytes(reference: Path, other: Path) -> Difference:
-    files = [path.relative_to(reference) for path in sorted(reference.rglob("*")) if path.is_file() and path.suffix != ".json"]
-    equal = sum((other / file).is_file() and (reference / file).read_bytes() == (other / file).read_bytes() for file in files)
+    files = [
+        path.relative_to(reference)
+        for path in sorted(reference.rglob("*"))
+        if path.is_file() and path.suffix != ".json"
+    ]
+    equal = sum(
+        (other / file).is_file() and (reference / file).read_bytes() == (other / file).read_bytes()
+        for file in files
+    )
     return Difference(equal, len(files), 0.0, "")
 
 
 def _levels(reference: Path, other: Path) -> Difference:
     """Of the values of all pixels of all frames, of 255 levels."""
-    pairs = [(read_image(path), read_image(other / path.relative_to(reference))) for path in sorted(reference.glob("*/*.png"))]
+    pairs = [
+        (read_image(path), read_image(other / path.relative_to(reference)))
+        for path in sorted(reference.glob("*/*.png"))
+    ]
     gaps = np.concatenate([np.abs(a.astype(int) - b).ravel() for a, b in pairs])
     return Difference(int((gaps == 0).sum()), gaps.size, float(gaps.max()), "levels")
 
 
 def _scores(reference: Path, other: Path) -> Difference:
-    first, second = (pd.read_parquet(run / "results.parquet").set_index(KEY)["value"].sort_index() for run in (reference, other))
+    first, second = (
+        pd.read_parquet(run / "results.parquet").set_index(KEY)["value"].sort_index()
+        for run in (reference, other)
+    )
     gaps = (first - second).abs() / first.abs().clip(lower=1e-6)
-    return Difference(int((gaps == 0).sum() + gaps.isna().sum()), len(gaps), float(gaps.max()), "of their value")
+    return Difference(
+        int((gaps == 0).sum() + gaps.isna().sum()), len(gaps), float(gaps.max()), "of their value"
+    )
 
 
 def _short_protocol() -> str:
@@ -168,7 +232,9 @@ def _ggvs_eval(setting: dict[str, str], *words: str | Path) -> None:
         check=False,
     )
     if result.returncode:
-        raise SystemExit(f"{' '.join(map(str, words))} failed under {setting}:\n{result.stderr[-2000:]}")
+        raise SystemExit(
+            f"{' '.join(map(str, words))} failed under {setting}:\n{result.stderr[-2000:]}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""ST-RRED of this package and of scikit-video by turns, in a separate process: scikit-video needs names that numpy has dropped.
+"""ST-RRED of this package and of scikit-video by turns, in a separate process: scikit-video needs
+names that numpy has dropped.
 
-``python -m benchmarks.scikit_video_strred`` prints one line of JSON; without scikit-video, one line that says so, and exit 1.
-scikit-video is no dependency: ``pip install --no-deps scikit-video``, or its folder on PYTHONPATH.
+``python -m benchmarks.scikit_video_strred`` prints one line of JSON; without scikit-video, one line
+that says so, and exit 1. scikit-video is no dependency: ``pip install --no-deps scikit-video``, or
+its folder on PYTHONPATH.
 """
 
 import builtins
@@ -37,12 +39,23 @@ def main() -> None:
         ours_s.append(seconds)
         seconds, theirs = _timed(lambda: peer(truth, rendered))
         peer_s.append(seconds)
-    values = {"value": ours.strred, "peer_value": float(theirs[1]), "single": ours.strred_ssn, "peer_single": float(theirs[2])}
-    print(json.dumps({"ours_ms": min(ours_s) * 1e3 / FRAMES, "peer_ms": min(peer_s) * 1e3 / FRAMES} | values))
+    values = {
+        "value": ours.strred,
+        "peer_value": float(theirs[1]),
+        "single": ours.strred_ssn,
+        "peer_single": float(theirs[2]),
+    }
+    print(
+        json.dumps(
+            {"ours_ms": min(ours_s) * 1e3 / FRAMES, "peer_ms": min(peer_s) * 1e3 / FRAMES} | values
+        )
+    )
 
 
 def patched_peer() -> Callable[..., Any] | None:
-    """scikit-video's function with numpy's old names put back, or None where it is not installed."""
+    """scikit-video's function with numpy's old names put back, or None where it is not
+    installed.
+    """
     warnings.simplefilter("ignore")
     for name in ("int", "float", "bool", "complex", "object"):
         if name not in vars(np):  # numpy 2 has its own np.bool
@@ -55,7 +68,9 @@ def patched_peer() -> Callable[..., Any] | None:
 
 
 def make_clip() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Rounded luma (T, H, W) of a photograph that moves by three pixels per frame, with and without noise."""
+    """Rounded luma (T, H, W) of a photograph that moves by three pixels per frame, with and without
+    noise.
+    """
     photograph = cv2.resize(data.astronaut(), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
     truth = np.stack([np.rint(luma(np.roll(photograph, 3 * t, axis=1))) for t in range(FRAMES)])
     noise = np.random.default_rng(0).normal(0, 5, truth.shape)

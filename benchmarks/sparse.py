@@ -1,8 +1,9 @@
-"""Tabulate runs of the sparse protocols next to published values: ``python -m benchmarks.sparse RUN [RUN ...]``.
+"""Tabulate runs of the sparse protocols next to published values: ``python -m benchmarks.sparse RUN
+[RUN ...]``.
 
-RUN is a scored folder of `ggvs-eval run RUN --protocol n3v_sparse3_instant` or `llff_sparse3_SCENE`. Published
-methods are fitted to the scene; what is measured here is fitted to nothing. Intervals are over test pictures, paired;
-one picture has none.
+RUN is a scored folder of `ggvs-eval run RUN --protocol n3v_sparse3_instant` or
+`llff_sparse3_SCENE`. Published methods are fitted to the scene; what is measured here is fitted to
+nothing. Intervals are over test pictures, paired; one picture has none.
 """
 
 import argparse
@@ -69,7 +70,9 @@ class SparseRow:
 
 def main() -> None:
     """Print both tables, and the lines that GGVS leads by most."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("runs", type=Path, nargs="+", help="scored run folders")
     rows = [sparse_row(read_scores(root)) for root in parser.parse_args().runs]
     tables = (published_table(rows), measured_table(rows), best_lines(rows))
@@ -87,7 +90,9 @@ def sparse_row(run: MeasuredRun) -> SparseRow:
     return SparseRow(run, scene, published, best, _published_lead(run, scene, best, values))
 
 
-def _published_lead(run: MeasuredRun, scene: str, best: str, values: Sequence[PublishedValue]) -> Lead:
+def _published_lead(
+    run: MeasuredRun, scene: str, best: str, values: Sequence[PublishedValue]
+) -> Lead:
     pictures = _pictures(scene, run.protocol.synthesis.k, best)
     if len(pictures):
         return _lead(psnr_of_views(run, OURS) - pictures)
@@ -104,8 +109,14 @@ def _read_pictures() -> tuple[dict[str, str], ...]:
 def _pictures(scene: str, n_sources: int, method: str) -> Array:
     """Return the published PSNR of each test picture in order; empty if only the mean is known."""
     key = (scene, str(n_sources), method)
-    lines = [line for line in _read_pictures() if (line["scene"], line["n_sources"], line["method"]) == key]
-    return np.array([float(line["psnr"]) for line in sorted(lines, key=lambda line: int(line["picture"]))])
+    lines = [
+        line
+        for line in _read_pictures()
+        if (line["scene"], line["n_sources"], line["method"]) == key
+    ]
+    return np.array(
+        [float(line["psnr"]) for line in sorted(lines, key=lambda line: int(line["picture"]))]
+    )
 
 
 def psnr_of_views(run: MeasuredRun, label: str) -> Array:
@@ -129,7 +140,9 @@ def _lead(differences: Array) -> Lead:
 
 
 def published_table(rows: Sequence[SparseRow], head: str = "scene | sources") -> Iterator[str]:
-    """Yield PSNR / SSIM / LPIPS of GGVS and of the published method of the highest PSNR, and the lead over that."""
+    """Yield PSNR / SSIM / LPIPS of GGVS and of the published method of the highest PSNR, and the
+    lead over that.
+    """
     yield f"| {head} | GGVS (online) | best published | PSNR |"
     yield "| --- | --- | --- | --- | ---: |"
     for row in rows:
@@ -139,7 +152,9 @@ def published_table(rows: Sequence[SparseRow], head: str = "scene | sources") ->
 
 def best_lines(rows: Sequence[SparseRow]) -> Iterator[str]:
     """Yield the rows that GGVS leads by most."""
-    return published_table(sorted(rows, key=lambda row: -row.lead.mean)[:BEST_LINES], "scene | cameras")
+    return published_table(
+        sorted(rows, key=lambda row: -row.lead.mean)[:BEST_LINES], "scene | cameras"
+    )
 
 
 def _printed(values: dict[str, str]) -> str:
@@ -147,14 +162,18 @@ def _printed(values: dict[str, str]) -> str:
 
 
 def _measured(run: MeasuredRun, label: str) -> str:
-    return " / ".join(f"{_values(run, label, metric).mean():.{DECIMALS[metric]}f}" for metric in METRICS)
+    return " / ".join(
+        f"{_values(run, label, metric).mean():.{DECIMALS[metric]}f}" for metric in METRICS
+    )
 
 
 def measured_table(rows: Sequence[SparseRow]) -> Iterator[str]:
     """Yield the PSNR of every method measured here, and in brackets that of GGVS minus it."""
     first = rows[0].run
     labels = [label for label in first.labels if label != OURS]
-    yield f"| scene | sources | PSNR of GGVS | {' | '.join(first.name(label) for label in labels)} |"
+    yield (
+        f"| scene | sources | PSNR of GGVS | {' | '.join(first.name(label) for label in labels)} |"
+    )
     yield "| --- | ---: | ---: |" + " ---: |" * len(labels)
     for row in rows:
         ours = psnr_of_views(row.run, OURS)

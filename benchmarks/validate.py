@@ -1,7 +1,8 @@
-"""``make validate``: the heavier proofs, on real input if it is next to the checkout and on the demo capture.
+"""``make validate``: the heavier proofs, on real input if it is next to the checkout and on the
+demo capture.
 
-Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the peer where there is one with
-the ratio by which this package is better.
+Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the
+peer where there is one with the ratio by which this package is better.
 """
 
 import argparse
@@ -28,20 +29,27 @@ OURS = ("ours", "")
 NO_TEMPORAL = ("ours", "no-temporal")
 GEOMETRIC = ("ours-geometric", "")
 PEERS = (("distance-based", ""), ("no-blending", ""))
-PAPER_DYNERF = {"PSNR": 31.17, "SSIM": 0.936, "LPIPS": 0.191, "L1": 5.09}  # average of its two DyNeRF test scenes
+# average of its two DyNeRF test scenes
+PAPER_DYNERF = {"PSNR": 31.17, "SSIM": 0.936, "LPIPS": 0.191, "L1": 5.09}
 HIGHER_IS_BETTER = ("PSNR", "SSIM")
-REAL_PROTOCOLS = ("real_frame", "real_frame_coverage")  # sources by distance, as in the paper, and by what they see
+# sources by distance, as in the paper, and by what they see
+REAL_PROTOCOLS = ("real_frame", "real_frame_coverage")
 SHIPPED_MATCHERS = ("sgbm", "sweep", "raft")
 
 Figures = dict[str, dict[str, Any]]
-Targets = Mapping[str, tuple[float | None, bool]]  # metric -> target (the peer's value where None), higher is better
+# metric -> target (the peer's value where None), higher is better
+Targets = Mapping[str, tuple[float | None, bool]]
 
 
 def main() -> None:
     """Run every proof whose input is there; what is absent is named, not skipped in silence."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder with n3v_flame_steak")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate.json and the run folders")
+    parser.add_argument(
+        "--data", type=Path, default=Path("../shared/data"), help="folder with n3v_flame_steak"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out"), help="folder for validate.json and the run folders"
+    )
     arguments = parser.parse_args()
     figures = validate_demo(arguments.out / "demo")
     figures |= validate_depth(arguments.data, arguments.out, SHIPPED_MATCHERS)
@@ -63,7 +71,9 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
     shutil.rmtree(out, ignore_errors=True)
     given = open_capture(capture)
     start = time.perf_counter()
-    errors = measure_against(given, calibrate(capture / "images", out, CalibrationOptions(shared_intrinsics=True)))
+    errors = measure_against(
+        given, calibrate(capture / "images", out, CalibrationOptions(shared_intrinsics=True))
+    )
     errors["seconds"] = time.perf_counter() - start
     targets: dict[str, tuple[float | None, bool]] = {
         "n_registered": (float(len(given.cameras)), True),
@@ -73,7 +83,9 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
         "seconds": (None, False),
     }
     units = dict(zip(targets, ("cameras", "px", "% of the extent", "deg", "s"), strict=True))
-    print(pd.Series({name: errors[name] for name in targets}, name="calibration").round(4).to_string())
+    print(
+        pd.Series({name: errors[name] for name in targets}, name="calibration").round(4).to_string()
+    )
     return {
         f"calibration.{name}": {
             "value": errors[name],
@@ -87,21 +99,29 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
 
 
 def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
-    """Return one real instant, leave-one-out on nine views; the target takes no part in any depth."""
-    labels = [label for label in usual_methods() if "+" not in label]  # variants differ over time only
+    """Return one real instant, leave-one-out on nine views.
+
+    The target takes no part in any depth.
+    """
+    # variants differ over time only
+    labels = [label for label in usual_methods() if "+" not in label]
     evaluate(run, open_capture(capture), load_protocol(protocol), labels, usable_cpus())
     results = Results.read(run)
     for metric in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1"):
         if metric not in results.not_computed:
             print(_shown(results.per_view(metric), metric))
     means = _means(results)
-    targets: Targets = {metric: (value, metric in HIGHER_IS_BETTER) for metric, value in PAPER_DYNERF.items()}
+    targets: Targets = {
+        metric: (value, metric in HIGHER_IS_BETTER) for metric, value in PAPER_DYNERF.items()
+    }
     figures = _compared(protocol, means, targets, OURS, GEOMETRIC)
     return figures | _compared(protocol, means, {"PSNR": (None, True)}, PEERS[0], PEERS[1])
 
 
 def validate_demo(run: Path) -> Figures:
-    """The demo room of `make reports` over time: ours against both baselines, and against itself without its temporal term."""
+    """The demo room of `make reports` over time: ours against both baselines, and against itself
+    without its temporal term.
+    """
     from ggvs_eval.synthetic.shipped import write_room
 
     capture = write_room(run.with_name(f"{run.name}-capture"))
@@ -119,14 +139,21 @@ def _means(results: Results) -> pd.DataFrame:
     return results.summary().droplevel("dataset")
 
 
-def _compared(data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str, str], peer: tuple[str, str]) -> Figures:
-    """Return the figures of one method against one peer; without a target, the peer's value is the target."""
+def _compared(
+    data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str, str], peer: tuple[str, str]
+) -> Figures:
+    """Return the figures of one method against one peer.
+
+    Without a target, the peer's value is the target.
+    """
     figures = {}
     for metric, (target, higher) in targets.items():
         if metric not in means.columns:
             continue
         value, other = (float(means[metric].to_dict()[method]) for method in (ours, peer))
-        figures[f"{data}.{metric}.{'+'.join(filter(None, ours))}.vs.{'+'.join(filter(None, peer))}"] = {
+        figures[
+            f"{data}.{metric}.{'+'.join(filter(None, ours))}.vs.{'+'.join(filter(None, peer))}"
+        ] = {
             "value": value,
             "unit": "dB" if metric.startswith("PSNR") else "",
             "target": other if target is None else target,

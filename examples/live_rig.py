@@ -1,6 +1,8 @@
-"""The online method behind a live rig: images and depth of every camera come in as arrays, one picture goes out.
+"""The online method behind a live rig: images and depth of every camera come in as arrays, one
+picture goes out.
 
-Put your own cameras and drivers where `camera_at` and `grab` are. The time of each picture is printed, the last one is view.png:
+Put your own cameras and drivers where `camera_at` and `grab` are. The time of each picture is
+printed, the last one is view.png:
 
     python examples/live_rig.py
 """
@@ -22,7 +24,7 @@ def camera_at(name: str, x_m: float) -> Camera:
     """Return the camera at (x, 0, 0) that looks along z."""
     world_to_camera = np.eye(4)
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ [x_m, 0, 0]  # t = -R c
-    return Camera(name=name, K=K, world_to_camera=world_to_camera, width=WIDTH, height=HEIGHT, near=1.0, far=4.0)
+    return Camera(name, K, world_to_camera, WIDTH, HEIGHT, near=1.0, far=4.0)
 
 
 rig = [camera_at(f"cam{number}", 0.2 * number) for number in range(4)]
@@ -43,5 +45,6 @@ for step in range(3):
     begun = time.perf_counter()
     rendering = synthesizer.step(*grab(), camera_at("view", 0.3 + 0.02 * step))
     picture = quantise(rendering.image)  # (240, 320, 3), RGB uint8: show it
-    print(f"{time.perf_counter() - begun:.2f} s", {name: f"{1000 * each:.0f} ms" for name, each in rendering.seconds.items()})
+    steps = {name: f"{1000 * s:.0f} ms" for name, s in rendering.seconds.items()}
+    print(f"{time.perf_counter() - begun:.2f} s", steps)
 write_image(Path("view.png"), picture)

@@ -1,4 +1,5 @@
-"""Score folders of renders from Python: the protocol, the captured frames, each number with its interval, and the page.
+"""Score folders of renders from Python: the protocol, the captured frames, each number with its
+interval, and the page.
 
 On the small capture that ships, where one of two sets of renders is a frame late:
 
@@ -16,7 +17,10 @@ from ggvs_eval.statistics.intervals import intervals
 
 
 def score_folders(capture: Path, protocol: Path, out: Path, folders: list[Path]) -> Results:
-    """Measure each folder of VIEW/FRAME.png against the captured frames; what `out` holds already is not measured again."""
+    """Measure each folder of VIEW/FRAME.png against the captured frames.
+
+    What `out` holds already is not measured again.
+    """
     run = prepare_truth(out, open_capture(capture), load_protocol(protocol))
     for folder in folders:
         for note in import_renders(run, folder.name, folder)["notes"]:
@@ -25,7 +29,9 @@ def score_folders(capture: Path, protocol: Path, out: Path, folders: list[Path])
 
 
 def print_table(results: Results, metrics: tuple[str, ...]) -> None:
-    """Print a line for each metric and method: its number, half the width of the 95 % interval, and what that takes as given."""
+    """Print a line for each metric and method: its number, half the width of the 95 % interval, and
+    what that takes as given.
+    """
     (dataset,) = results.table["dataset"].unique()
     for metric in metrics:
         for label, interval in intervals(results, metric, dataset).items():
@@ -37,5 +43,7 @@ def print_table(results: Results, metrics: tuple[str, ...]) -> None:
 
 if __name__ == "__main__":
     capture, protocol, out, *folders = map(Path, sys.argv[1:])
-    print_table(score_folders(capture, protocol, out, folders), load_protocol(protocol).measurement.metrics)
+    print_table(
+        score_folders(capture, protocol, out, folders), load_protocol(protocol).measurement.metrics
+    )
     print(report([out]))

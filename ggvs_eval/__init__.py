@@ -1,6 +1,8 @@
-"""Offline-to-online evaluation of multi-view 3D video synthesis: captures in, scores with intervals and a page out.
+"""Offline-to-online evaluation of multi-view 3D video synthesis: captures in, scores with intervals
+and a page out.
 
-The names below are the public interface. Each is loaded when it is first asked for, so that ``import ggvs_eval`` stays light:
+The names below are the public interface. Each is loaded when it is first asked for, so that
+``import ggvs_eval`` stays light:
 
     >>> import ggvs_eval
     >>> ggvs_eval.load_protocol("dynerf").synthesis.k
@@ -13,7 +15,8 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-# Module of each public name. As text, since these rooms are above the package itself; __init__.pyi tells type checkers.
+# Module of each public name. As text, since these rooms are above the package itself; __init__.pyi
+# tells type checkers.
 _PUBLIC = {
     "Camera": "camera",
     "Capture": "capture",
@@ -40,7 +43,9 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return version("ggvs-eval")
     if name not in _PUBLIC:
-        raise AttributeError(f"module 'ggvs_eval' has no attribute {name!r}; public are {', '.join(__all__)}")
+        raise AttributeError(
+            f"module 'ggvs_eval' has no attribute {name!r}; public are {', '.join(__all__)}"
+        )
     value = getattr(import_module(f"ggvs_eval.{_PUBLIC[name]}"), name)
     globals()[name] = value
     return value

@@ -13,8 +13,9 @@ def main() -> None:
     """Hand over to the command line; Ctrl-C and SIGTERM end it with one line and 130.
 
     Reading:
-        A request to terminate ends as Ctrl-C does, with 130 too and not the shell's 143: in both cases the user stopped it and
-        the same command continues; a scheduler that terminates jobs knows from its own record that it did.
+        A request to terminate ends as Ctrl-C does, with 130 too and not the shell's 143: in both
+        cases the user stopped it and the same command continues; a scheduler that terminates jobs
+        knows from its own record that it did.
     """
     _on_stop(_end_at_once)
     run_command = _command_line()
@@ -27,7 +28,9 @@ def main() -> None:
 
 
 def _on_stop(handle: Callable[..., object]) -> None:
-    """Install a handler of SIGINT (Ctrl-C) and SIGTERM, except where the process that started this one has them ignored."""
+    """Install a handler of SIGINT (Ctrl-C) and SIGTERM, except where the process that started this
+    one has them ignored.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handle)
@@ -45,7 +48,9 @@ def _command_line() -> Callable[[], None]:
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("ggvs_eval."):
             raise
-        sys.exit("ggvs-eval: this checkout is not installed; run `make reports` or `pip install -e .`")
+        sys.exit(
+            "ggvs-eval: this checkout is not installed; run `make reports` or `pip install -e .`"
+        )
     return run_command
 
 

@@ -1,8 +1,11 @@
-"""What a part may use of the rest of the package: public modules, and single names of others; at most 150 together.
+"""What a part may use of the rest of the package: public modules, and single names of others.
 
-A part is a metric, a method, a layout, a section, a question, a matcher, a verb: whatever can be deleted. It imports from where a
-name is defined; this list is what a test holds all parts to, those of `contrib` among them. One more name here is a decision
-about design: from then on it cannot change without its users.
+At most 150 together.
+
+A part is a metric, a method, a layout, a section, a question, a matcher, a verb: whatever can be
+deleted. It imports from where a name is defined; this list is what a test holds all parts to, those
+of `contrib` among them. One more name here is a decision about design: from then on it cannot
+change without its users.
 """
 
 # ruff: noqa: F401 - names are listed, not used
@@ -75,7 +78,15 @@ from ggvs_eval.files import (
 from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.templates import open_templates
-from ggvs_eval.geometry import epipolar, pinhole, rectification, registration, reproject_depth, sight, source_views
+from ggvs_eval.geometry import (
+    epipolar,
+    pinhole,
+    rectification,
+    registration,
+    reproject_depth,
+    sight,
+    source_views,
+)
 from ggvs_eval.jobs import engine, processes
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import portable

@@ -1,4 +1,5 @@
-"""Built-in commands, metrics, methods and layouts, by kind and name: as text like entry points, so that a name loads no module.
+"""Built-in commands, metrics, methods and layouts, by kind and name: as text like entry points, so
+that a name loads no module.
 
 Parts of `contrib` are listed too; a part whose package is missing is omitted.
 """
@@ -29,7 +30,8 @@ class Verb(NamedTuple):
         target: its function, or the table of its subcommands, as ``module:attribute``.
         about: the first line of its help.
         group: heading under which the overview lists it.
-        example: arguments of one call, which its help shows; NETWORK represents the name of a subcommand.
+        example: arguments of one call, which its help shows; NETWORK represents the name of a
+            subcommand.
     """
 
     target: str
@@ -43,188 +45,189 @@ START, CAPTURE, EVALUATE, LOOK, MORE = "start", "capture", "evaluate", "look", "
 # In the order of the overview.
 VERBS: dict[str, Verb] = {
     "demo": Verb(
-        f"{VERBS_ROOM}.captures:demo",
-        "Unpack a demo capture (a procedural dynamic room) in seconds.",
-        START,
-        "room",
+        target=f"{VERBS_ROOM}.captures:demo",
+        about="Unpack a demo capture (a procedural dynamic room) in seconds.",
+        group=START,
+        example="room",
     ),
     "get": Verb(
-        f"{VERBS_ROOM}.captures:get",
-        "Download a public capture; its name then works as --capture.",
-        START,
-        "n3v:flame_steak",
+        target=f"{VERBS_ROOM}.captures:get",
+        about="Download a public capture; its name then works as --capture.",
+        group=START,
+        example="n3v:flame_steak",
     ),
     "evaluate": Verb(
-        f"{VERBS_ROOM}.evaluate:evaluate",
-        "Calibrate, check and evaluate the videos of a rig in one command.",
-        START,
-        "my_videos out/rig --frames 30",
+        target=f"{VERBS_ROOM}.evaluate:evaluate",
+        about="Calibrate, check and evaluate the videos of a rig in one command.",
+        group=START,
+        example="my_videos out/rig --frames 30",
     ),
     "check": Verb(
-        f"{VERBS_ROOM}.check:check",
-        "Check a capture for faults in frames, poses, timing and colour.",
-        CAPTURE,
-        "my_capture --repair",
+        target=f"{VERBS_ROOM}.check:check",
+        about="Check a capture for faults in frames, poses, timing and colour.",
+        group=CAPTURE,
+        example="my_capture --repair",
     ),
     "calibrate": Verb(
-        f"{VERBS_ROOM}.calibrate:calibrate",
-        "Calibrate a fixed rig from one instant with COLMAP.",
-        CAPTURE,
-        "my_videos my_capture",
+        target=f"{VERBS_ROOM}.calibrate:calibrate",
+        about="Calibrate a fixed rig from one instant with COLMAP.",
+        group=CAPTURE,
+        example="my_videos my_capture",
     ),
     "undistort": Verb(
-        f"{VERBS_ROOM}.calibrate:undistort",
-        "Convert videos of known lenses to pinhole videos.",
-        CAPTURE,
-        "raw_videos pinhole_videos --lenses rig.yml",
+        target=f"{VERBS_ROOM}.calibrate:undistort",
+        about="Convert videos of known lenses to pinhole videos.",
+        group=CAPTURE,
+        example="raw_videos pinhole_videos --lenses rig.yml",
     ),
     "protocol": Verb(
-        f"{VERBS_ROOM}.captures:protocol",
-        "Propose a protocol for a capture and explain its test views.",
-        CAPTURE,
-        "my_capture mine.toml --test cam02 cam05 --metrics PSNR SSIM LPIPS",
+        target=f"{VERBS_ROOM}.captures:protocol",
+        about="Propose a protocol for a capture and explain its test views.",
+        group=CAPTURE,
+        example="my_capture mine.toml --test cam02 cam05 --metrics PSNR SSIM LPIPS",
     ),
     "run": Verb(
-        f"{VERBS_ROOM}.runs:run",
-        "Run the whole evaluation; a second call resumes.",
-        EVALUATE,
-        "out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",
+        target=f"{VERBS_ROOM}.runs:run",
+        about="Run the whole evaluation; a second call resumes.",
+        group=EVALUATE,
+        example="out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",
     ),
     "score": Verb(
-        f"{VERBS_ROOM}.runs:score",
-        "Score all renders of a run, and your own, under one protocol.",
-        EVALUATE,
-        "--renders mine=my_renders --capture my_capture --protocol mine.toml",
+        target=f"{VERBS_ROOM}.runs:score",
+        about="Score all renders of a run, and your own, under one protocol.",
+        group=EVALUATE,
+        example="--renders mine=my_renders --capture my_capture --protocol mine.toml",
     ),
     "doctor": Verb(
-        f"{VERBS_ROOM}.doctor:doctor",
-        "Find faults in rendered frames before they are scored.",
-        EVALUATE,
-        "my_renders --capture my_capture --protocol mine.toml",
+        target=f"{VERBS_ROOM}.doctor:doctor",
+        about="Find faults in rendered frames before they are scored.",
+        group=EVALUATE,
+        example="my_renders --capture my_capture --protocol mine.toml",
     ),
     "what-if": Verb(
-        "ggvs_eval.contrib.what_if.command:what_if",
-        "Score rendered frames again with each fault that doctor finds undone.",
-        EVALUATE,
-        "my_renders --capture my_capture --protocol mine.toml",
+        target="ggvs_eval.contrib.what_if.command:what_if",
+        about="Score rendered frames again with each fault that doctor finds undone.",
+        group=EVALUATE,
+        example="my_renders --capture my_capture --protocol mine.toml",
     ),
     "explain": Verb(
-        "ggvs_eval.contrib.explain.command:explain",
-        "Find the metric conventions that give a quoted number.",
-        EVALUATE,
-        "out/mine ssim 0.936 --method mine",
+        target="ggvs_eval.contrib.explain.command:explain",
+        about="Find the metric conventions that give a quoted number.",
+        group=EVALUATE,
+        example="out/mine ssim 0.936 --method mine",
     ),
     "check-table": Verb(
-        "ggvs_eval.contrib.explain.command:check_table",
-        "Check every cell of a published table against scored runs.",
-        EVALUATE,
-        "out/mine --table paper.tex --out out/checked",
+        target="ggvs_eval.contrib.explain.command:check_table",
+        about="Check every cell of a published table against scored runs.",
+        group=EVALUATE,
+        example="out/mine --table paper.tex --out out/checked",
     ),
     "prepare": Verb(
-        f"{VERBS_ROOM}.runs:prepare",
-        "Write reference frames, source views and depth of a capture.",
-        EVALUATE,
-        "out/mine --capture my_capture --protocol mine.toml",
+        target=f"{VERBS_ROOM}.runs:prepare",
+        about="Write reference frames, source views and depth of a capture.",
+        group=EVALUATE,
+        example="out/mine --capture my_capture --protocol mine.toml",
     ),
     "render": Verb(
-        f"{VERBS_ROOM}.runs:render",
-        "Render all test views of a prepared run by each method.",
-        EVALUATE,
-        "out/mine --methods ours no-blending",
+        target=f"{VERBS_ROOM}.runs:render",
+        about="Render all test views of a prepared run by each method.",
+        group=EVALUATE,
+        example="out/mine --methods ours no-blending",
     ),
     "sweep": Verb(
-        f"{VERBS_ROOM}.runs:sweep",
-        "Evaluate the rows of a sweep in each variant, into one table.",
-        EVALUATE,
-        "ablations out/ablations --capture my_capture --protocol mine.toml",
+        target=f"{VERBS_ROOM}.runs:sweep",
+        about="Evaluate the rows of a sweep in each variant, into one table.",
+        group=EVALUATE,
+        example="ablations out/ablations --capture my_capture --protocol mine.toml",
     ),
     "calibrations": Verb(
-        "ggvs_eval.contrib.given_depth.calibrations:calibrations",
-        "Render one capture under several calibrations or depths and compare.",
-        EVALUATE,
-        "out/cal given=room refined=room_refined --depths vggt=vggt_depth",
+        target="ggvs_eval.contrib.given_depth.calibrations:calibrations",
+        about="Render one capture under several calibrations or depths and compare.",
+        group=EVALUATE,
+        example="out/cal given=room refined=room_refined --depths vggt=vggt_depth",
     ),
     "status": Verb(
-        f"{VERBS_ROOM}.runs:status",
-        "Show progress, failures and disk use of a run or sweep.",
-        EVALUATE,
-        "out/ablations",
+        target=f"{VERBS_ROOM}.runs:status",
+        about="Show progress, failures and disk use of a run or sweep.",
+        group=EVALUATE,
+        example="out/ablations",
     ),
     "merge": Verb(
-        f"{VERBS_ROOM}.runs:merge",
-        "Merge run folders of one capture and protocol into a new one.",
-        EVALUATE,
-        "out/both out/first out/second",
+        target=f"{VERBS_ROOM}.runs:merge",
+        about="Merge run folders of one capture and protocol into a new one.",
+        group=EVALUATE,
+        example="out/both out/first out/second",
     ),
     "report": Verb(
-        f"{VERBS_ROOM}.figures:report",
-        "Write the page, tables, figures and the comparison with the paper.",
-        LOOK,
-        "out/mine",
+        target=f"{VERBS_ROOM}.figures:report",
+        about="Write the page, tables, figures and the comparison with the paper.",
+        group=LOOK,
+        example="out/mine",
     ),
     "table": Verb(
-        f"{VERBS_ROOM}.figures:table",
-        "Print a table of scored runs for a paper.",
-        LOOK,
-        "out/mine --columns PSNR SSIM LPIPS --to latex",
+        target=f"{VERBS_ROOM}.figures:table",
+        about="Print a table of scored runs for a paper.",
+        group=LOOK,
+        example="out/mine --columns PSNR SSIM LPIPS --to latex",
     ),
     "figure": Verb(
-        f"{VERBS_ROOM}.figure:figure",
-        "Draw a labelled figure for a paper.",
-        LOOK,
-        "crops out/mine figures/crops",
+        target=f"{VERBS_ROOM}.figure:figure",
+        about="Draw a labelled figure for a paper.",
+        group=LOOK,
+        example="crops out/mine figures/crops",
     ),
     "compare": Verb(
-        f"{VERBS_ROOM}.compare:compare",
-        "Compare two runs, or two methods of a run, with paired tests.",
-        LOOK,
-        "ours mine --run out/mine",
+        target=f"{VERBS_ROOM}.compare:compare",
+        about="Compare two runs, or two methods of a run, with paired tests.",
+        group=LOOK,
+        example="ours mine --run out/mine",
     ),
     "view": Verb(
-        "ggvs_eval.contrib.view.command:view",
-        "View a scene in the browser: drag the camera, play or pause time.",
-        LOOK,
-        "my_capture",
+        target="ggvs_eval.contrib.view.command:view",
+        about="View a scene in the browser: drag the camera, play or pause time.",
+        group=LOOK,
+        example="my_capture",
     ),
     "play": Verb(
-        f"{VERBS_ROOM}.play:play",
-        "Render a camera orbit within the rig to a video; print the frame rate.",
-        LOOK,
-        "my_capture round.mp4",
+        target=f"{VERBS_ROOM}.play:play",
+        about="Render a camera orbit within the rig to a video; print the frame rate.",
+        group=LOOK,
+        example="my_capture round.mp4",
     ),
     "film": Verb(
-        "ggvs_eval.contrib.worlds.command:film",
-        "Film a procedural demo capture in the layout of a data set.",
-        MORE,
-        "room --layout dynerf --n-frames 8",
+        target="ggvs_eval.contrib.worlds.command:film",
+        about="Film a procedural demo capture in the layout of a data set.",
+        group=MORE,
+        example="room --layout dynerf --n-frames 8",
     ),
     "steadiness": Verb(
-        f"{VERBS_ROOM}.steadiness:steadiness",
-        "Measure stability and sharpness of videos without a reference.",
-        MORE,
-        "mine=my_video.mp4 theirs=their_video.mp4",
+        target=f"{VERBS_ROOM}.steadiness:steadiness",
+        about="Measure stability and sharpness of videos without a reference.",
+        group=MORE,
+        example="mine=my_video.mp4 theirs=their_video.mp4",
     ),
     "metric-study": Verb(
-        "ggvs_eval.contrib.study.command:metric_study",
-        "Measure how each metric responds to known degradations.",
-        MORE,
-        "out/study --capture my_capture",
+        target="ggvs_eval.contrib.study.command:metric_study",
+        about="Measure how each metric responds to known degradations.",
+        group=MORE,
+        example="out/study --capture my_capture",
     ),
     "export": Verb(
-        "ggvs_eval.contrib.export.command:export",
-        "Write 3D Gaussians as one .glb (glTF, KHR_gaussian_splatting).",
-        MORE,
-        "my_clouds sequence.glb --capture my_capture",
+        target="ggvs_eval.contrib.export.command:export",
+        about="Write 3D Gaussians as one .glb (glTF, KHR_gaussian_splatting).",
+        group=MORE,
+        example="my_clouds sequence.glb --capture my_capture",
     ),
     "train": Verb(
-        "ggvs_eval.contrib.training.command:TRAININGS",
-        "Train a network of this package; a second call resumes.",
-        MORE,
-        "out/NETWORK --steps 5000",
+        target="ggvs_eval.contrib.training.command:TRAININGS",
+        about="Train a network of this package; a second call resumes.",
+        group=MORE,
+        example="out/NETWORK --steps 5000",
     ),
 }
 
-# Layouts of captures, in the order in which they are tried: what is particular before what is general, plug-ins last.
+# Layouts of captures, in the order in which they are tried: what is particular before what is
+# general, plug-ins last.
 _DATASETS = "ggvs_eval.datasets"
 DATASETS = {
     "capture.toml": f"{_DATASETS}.capture_toml:LAYOUT",
@@ -246,7 +249,8 @@ DATASETS = {
     "opencv": f"{_DATASETS}.calibration_file:OPENCV_LAYOUT",
 }
 
-# Metrics of a view's frames, of what is derived from these, and of all views; in the order in which they are scored and listed.
+# Metrics of a view's frames, of what is derived from these, and of all views; in the order in which
+# they are scored and listed.
 _IMAGE, _TIME, _PATH = "ggvs_eval.metrics.image", "ggvs_eval.metrics.time", "ggvs_eval.metrics.path"
 _MORE = "ggvs_eval.contrib.more_metrics"
 _OF_IMAGES = {
@@ -312,14 +316,18 @@ DEPTH_METRICS = {
     "depth_mTV2": f"{_TIME}.depth_variation:DEPTH_MTV2",
     "depth_blinking": f"{_TIME}.depth_variation:DEPTH_BLINKING",
 }
-COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")  # of one call, in this order
+# of one call, in this order
+COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
 # How the metrics of plug-ins are measured.
-FOREIGN_METRICS = {"scorer": "ggvs_eval.metrics.foreign:ForeignScorer", "values": "ggvs_eval.metrics.foreign:foreign_values"}
+FOREIGN_METRICS = {
+    "scorer": "ggvs_eval.metrics.foreign:ForeignScorer",
+    "values": "ggvs_eval.metrics.foreign:foreign_values",
+}
 
-# Questions that scoring asks of every method's frames, and what it measures besides the frames of test views: a function that
-# plans it.
+# Questions that scoring asks of every method's frames, and what it measures besides the frames of
+# test views: a function that plans it.
 _RUN = "ggvs_eval.pipelines.run"
 QUESTIONS = {
     "quick checks": "ggvs_eval.pipelines.inspection.renders.quick_checks:QUESTION",
@@ -333,7 +341,8 @@ SCORE_PARTS = {
 }
 
 # The learned baselines: of each a description. Every method by its label: its specification, which
-# names its class and keywords, or what makes one of a baseline; in the order in which they are listed.
+# names its class and keywords, or what makes one of a baseline; in the order in which they are
+# listed.
 _BASELINES, _MORE_BASELINES = "ggvs_eval.baselines", "ggvs_eval.contrib.more_baselines"
 LEARNED_BASELINES = {
     "fwd": f"{_BASELINES}.fwd:BASELINE",
@@ -372,10 +381,17 @@ METHODS: dict[str, str | Derived] = {
 # Scenes that others have fitted, which become a method of the label that the user gives.
 STORED_SCENES = {"splats": f"{_METHODS}.fitted:StoredSplats"}
 # Those that are rendered where none are named.
-USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
+USUAL_METHODS = (
+    "no-blending",
+    "distance-based",
+    "ours+no-tsdf",
+    "ours+no-temporal",
+    "ours",
+    "ours-geometric",
+)
 
-# Depth from images: the class of a matcher; of a network what makes one of a checkpoint (empty: its own), a device, and whether
-# it fills what another one does not find.
+# Depth from images: the class of a matcher; of a network what makes one of a checkpoint (empty: its
+# own), a device, and whether it fills what another one does not find.
 _OFFLINE = "ggvs_eval.pipelines.offline"
 MATCHERS = {
     "sgbm": f"{_OFFLINE}.stereo.sgbm:SgbmMatcher",
@@ -391,7 +407,8 @@ DEPTH = {"depth": f"{_OFFLINE}.depth.run_depth:MatchedDepth"}
 # Cameras of a run: as given or refined.
 _RUN = "ggvs_eval.pipelines.run"
 CALIBRATIONS = {"calibration": f"{_RUN}.calibration_of_run:calibrate"}
-# What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.
+# What runs need before they are rendered, besides captured frames and depth; in the order in which
+# it is made.
 PREPARATIONS = {
     "camera path": f"{_RUN}.camera_path",
     "fits": f"{_RUN}.fits",
@@ -405,7 +422,8 @@ DEPTH_OUTPUTS = {
     "fused instant": f"{_RUN}.depth_outputs:fuse_prepared",
     "dense workspace": f"{_RUN}.depth_outputs:export_prepared",
 }
-DEPTH_CHOICES = {"depth": f"{_OFFLINE}.depth.depth_choice:depth_options"}  # all parameters of what a user chooses
+# all parameters of what a user chooses
+DEPTH_CHOICES = {"depth": f"{_OFFLINE}.depth.depth_choice:depth_options"}
 # Depth that another program has computed, in place of a matcher's.
 REFUSALS = {"capture": "ggvs_eval.datasets.refusal:unfit"}
 DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}
@@ -413,22 +431,30 @@ NETWORK_MATCHERS = ("raft", "itermvs")
 
 # Engines besides processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
-SWEEP_LINES = {"published": "ggvs_eval.reports.tables.published:published_lines"}  # below the table of a sweep
+# below the table of a sweep
+SWEEP_LINES = {"published": "ggvs_eval.reports.tables.published:published_lines"}
 SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 
 # Files of Gaussians by suffix, besides .ply; and experiment trackers that results are written for.
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
-TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
+TRACKERS = {
+    name: "ggvs_eval.contrib.export.tracking:track_results"
+    for name in ("tensorboard", "mlflow", "wandb")
+}
 
-LEADERBOARDS = {"leaderboard": "ggvs_eval.reports.page.leaderboard:write_leaderboard"}  # pages without frames
+# pages without frames
+LEADERBOARDS = {"leaderboard": "ggvs_eval.reports.page.leaderboard:write_leaderboard"}
 
-# Sections of a report, in the order in which they are read; and published values for its main tables.
+# Sections of a report, in the order in which they are read; and published values for its main
+# tables.
 _FIGURES, _PAGE, _TABLES = (f"ggvs_eval.reports.{room}" for room in ("figures", "page", "tables"))
 _OF_RUNS = "ggvs_eval.reports.section:tables_of_runs"
 SECTIONS: dict[str, str | Derived] = {
     "sweep": f"{_PAGE}.sweep_section:sweeps_section",
     "what-if": Derived(
-        "ggvs_eval.contrib.what_if.page:undo_faults", "ggvs_eval.reports.section:value_of_runs", ("undone_frames",)
+        "ggvs_eval.contrib.what_if.page:undo_faults",
+        "ggvs_eval.reports.section:value_of_runs",
+        ("undone_frames",),
     ),
     "viewer": f"{_PAGE}.viewer:viewer_section",
     "stream": f"{_PAGE}.stream_section:stream_section",
@@ -460,7 +486,10 @@ METRIC_FUNCTIONS = {
     "spatial_consistency": f"{_MORE}.spatial_consistency:spatial_consistency",
 }
 # Functions that download the weights of a metric's network.
-FETCHED_WEIGHTS = {"LPIPS": f"{_IMAGE}.fetch_lpips:fetch_weights", "DISTS": f"{_MORE}.fetch_dists:fetch_dists_weights"}
+FETCHED_WEIGHTS = {
+    "LPIPS": f"{_IMAGE}.fetch_lpips:fetch_weights",
+    "DISTS": f"{_MORE}.fetch_dists:fetch_dists_weights",
+}
 
 # Conventions under which the numbers of a family of metrics are recomputed (`explain`).
 _EXPLAIN = "ggvs_eval.contrib.explain"
@@ -485,7 +514,8 @@ CONVENTIONS = {
     "e_warp": f"{_EXPLAIN}.steadiness_conventions:warping_conventions",
 }
 
-# The online step, the finish of found depth, and training samples, where another device computes them.
+# The online step, the finish of found depth, and training samples, where another device computes
+# them.
 DEVICE_PARTS = {
     "online step": "ggvs_eval.contrib.warp.step:DeviceGuided",
     "depth finish": "ggvs_eval.contrib.warp.depth:finish_maps",

@@ -1,7 +1,7 @@
 """A calibrated pinhole camera.
 
-Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) is at (u, v) = (i + 0.5, j + 0.5),
-depth is z in the camera's frame, in world units.
+Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) is at
+(u, v) = (i + 0.5, j + 0.5), depth is z in the camera's frame, in world units.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,8 +17,10 @@ from ggvs_eval.kernels.portable import length, transformed
 
 ROUNDING = 1e-4  # of a rotation's products of axes: numbers as files keep them
 RangeOrigin = Literal["given", "measured", "guessed"]
-SourceChoice = Literal["nearest", "coverage", "triplet"]  # how source cameras are chosen, see `geometry.source_views`
-LARGEST_DEVIATION = 1e-2  # of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
+# how source cameras are chosen, see `geometry.source_views`
+SourceChoice = Literal["nearest", "coverage", "triplet"]
+# of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
+LARGEST_DEVIATION = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +35,16 @@ class Camera:
         height: image height in pixels.
         near: smallest depth of the scene seen from here, world units.
         far: largest depth of the scene seen from here, world units.
-        deviation: largest difference between the entries of the given matrix and those of the nearest rotation, which
-            took its place; 0 if it is kept as it was given.
-        range_origin: whether near and far are given by the capture or its user, measured on its pictures, or guessed from where
-            its cameras look; nothing may be refused for a guess.
+        deviation: largest difference between the entries of the given matrix and those of the
+            nearest rotation, which took its place; 0 if it is kept as it was given.
+        range_origin: whether near and far are given by the capture or its user, measured on its
+            pictures, or guessed from where its cameras look; nothing may be refused for a guess.
 
     Reading:
-        Poses of public captures are orthonormal to 2e-4, some to less. What is within `ROUNDING` is kept bit by bit; up to
-        `LARGEST_DEVIATION` the nearest rotation is taken (singular value decomposition), about the camera's centre -R^-1 t, which
-        files of camera-to-world poses state exactly.
+        Poses of public captures are orthonormal to 2e-4, some to less. What is within `ROUNDING` is
+        kept bit by bit; up to `LARGEST_DEVIATION` the nearest rotation is taken (singular value
+        decomposition), about the camera's centre -R^-1 t, which files of camera-to-world poses
+        state exactly.
 
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -67,8 +70,9 @@ class Camera:
             matrix = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if matrix.shape != shape or not np.isfinite(matrix).all():
                 raise CameraError(
-                    f"camera {self.name}: {name} must be {shape} finite numbers, got {matrix.shape} with "
-                    f"{np.count_nonzero(~np.isfinite(matrix))} not finite; recalibrate or drop this camera"
+                    f"camera {self.name}: {name} must be {shape} finite numbers, got "
+                    f"{matrix.shape} with {np.count_nonzero(~np.isfinite(matrix))} not finite; "
+                    "recalibrate or drop this camera"
                 )
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
@@ -80,36 +84,49 @@ class Camera:
     def _check_values(self) -> None:
         if not _is_near(self.world_to_camera[3], np.array([0, 0, 0, 1]), 1e-8):
             last_row = self.world_to_camera[3].tolist()
-            raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {last_row}; transpose it")
+            raise CameraError(
+                f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got "
+                f"{last_row}; transpose it"
+            )
         determinant = np.linalg.det(self.rotation)
         if not determinant > 0:
             raise CameraError(
-                f"camera {self.name}: the rotation must be orthonormal with determinant +1, got determinant "
-                f"{determinant:.4f}; check axis order and handedness of the pose file"
+                f"camera {self.name}: the rotation must be orthonormal with determinant +1, got "
+                f"determinant {determinant:.4f}; check axis order and handedness of the pose file"
             )
         if self.width < 1 or self.height < 1 or self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
             raise CameraError(
-                f"camera {self.name}: size and focal lengths must be positive, got {self.width} x {self.height}, "
-                f"fx {self.K[0, 0]:g}, fy {self.K[1, 1]:g}"
+                f"camera {self.name}: size and focal lengths must be positive, got {self.width} x "
+                f"{self.height}, fx {self.K[0, 0]:g}, fy {self.K[1, 1]:g}"
             )
         if not 0 < self.near < self.far < np.inf:
-            raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
+            raise CameraError(
+                f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} "
+                f".. {self.far:g}"
+            )
 
     def _straighten(self) -> None:
         """Replace an almost orthonormal matrix by the nearest rotation."""
         rotation, deviation = nearest_rotation(self.rotation)
         if deviation > LARGEST_DEVIATION:
             raise CameraError(
-                f"camera {self.name}: the rotation must be orthonormal, got entries {deviation:.2g} off the nearest rotation's, "
-                f"where {LARGEST_DEVIATION:g} can be corrected; scaled or rounded? export the pose again"
+                f"camera {self.name}: the rotation must be orthonormal, got entries "
+                f"{deviation:.2g} off the nearest rotation's, "
+                f"where {LARGEST_DEVIATION:g} can be corrected; scaled or rounded? export the pose "
+                f"again"
             )
-        world_to_camera = rigid(rotation, rotation @ np.linalg.solve(self.rotation, self.translation))
+        world_to_camera = rigid(
+            rotation, rotation @ np.linalg.solve(self.rotation, self.translation)
+        )
         world_to_camera.setflags(write=False)
         object.__setattr__(self, "world_to_camera", world_to_camera)
         object.__setattr__(self, "deviation", deviation)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all except the name as values for a JSON file; `from_json` gives back the same camera, bit by bit."""
+        """Return all except the name as values for a JSON file.
+
+        `from_json` gives back the same camera, bit by bit.
+        """
         return {
             "K": self.K.tolist(),
             "world_to_camera": self.world_to_camera.tolist(),
@@ -127,9 +144,19 @@ class Camera:
         """
         try:
             width, height = values["size"]
-            return cls(name, values["K"], values["world_to_camera"], width, height, values["near"], values["far"])
+            return cls(
+                name,
+                values["K"],
+                values["world_to_camera"],
+                width,
+                height,
+                values["near"],
+                values["far"],
+            )
         except (KeyError, TypeError, ValueError) as error:
-            raise CameraError(f"camera {name}: wanted K, world_to_camera, size, near and far, got: {error}") from error
+            raise CameraError(
+                f"camera {name}: wanted K, world_to_camera, size, near and far, got: {error}"
+            ) from error
 
     @property
     def size(self) -> tuple[int, int]:
@@ -172,8 +199,8 @@ class Camera:
             points_world: (..., 3).
 
         Returns:
-            Image coordinates (..., 2) in pixels (pixel centres at halves) and depth (...); points behind the camera have
-            depth <= 0 and meaningless coordinates.
+            Image coordinates (..., 2) in pixels (pixel centres at halves) and depth (...); points
+            behind the camera have depth <= 0 and meaningless coordinates.
 
         Examples:
             >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -217,16 +244,24 @@ class Camera:
             >>> camera.pixel_centres()[0, :2].tolist()
             [[0.5, 0.5], [1.5, 0.5]]
         """
-        return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
+        return np.stack(
+            np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1
+        )
 
     def shows_the_same_rays(self, camera: "Camera") -> bool:
-        """Return whether two cameras have the same rays at the same pixels, regardless of their names."""
+        """Return whether two cameras have the same rays at the same pixels, regardless of their
+        names.
+        """
         same_pose = np.array_equal(self.world_to_camera, camera.world_to_camera)
         return same_pose and np.array_equal(self.K, camera.K) and self.size == camera.size
 
     def rays(self) -> Array:
-        """Direction of each pixel's ray in the world, (H, W, 3), scaled so that centre + depth * ray has that depth."""
-        return self.unproject(self.pixel_centres(), np.ones((self.height, self.width))) - self.centre
+        """Direction of each pixel's ray in the world, (H, W, 3), scaled so that centre + depth *
+        ray has that depth.
+        """
+        return (
+            self.unproject(self.pixel_centres(), np.ones((self.height, self.width))) - self.centre
+        )
 
     @property
     def K_opencv(self) -> Array:
@@ -288,13 +323,16 @@ def nearest_rotation(matrix: Array) -> tuple[Array, float]:
 
 
 def up_direction(cameras: Iterable[Camera]) -> Array:
-    """Return the direction that is up for most cameras of a rig, a unit vector in the world, (3,)."""
+    """Return the direction that is up for most cameras of a rig, a unit vector in the
+    world, (3,).
+    """
     up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
     return np.asarray(up / np.linalg.norm(up))
 
 
 def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
-    """Return the `count` cameras whose centres are nearest to the target's, nearest first, without the target.
+    """Return the `count` cameras whose centres are nearest to the target's, nearest first, without
+    the target.
 
     Ties are broken by name, so that equal inputs give equal lists.
 
@@ -307,12 +345,18 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
     """
     candidates = [camera for camera in cameras if camera.name != target.name]
     if len(candidates) < count:
-        raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(candidates)} others")
-    return sorted(candidates, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name))[:count]
+        raise CameraError(
+            f"camera {target.name}: wanted {count} source cameras, the capture has "
+            f"{len(candidates)} others"
+        )
+    return sorted(
+        candidates, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name)
+    )[:count]
 
 
 def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:
-    """Return a camera path for epipolar plane images: the camera moves along its own horizontal axis and never turns.
+    """Return a camera path for epipolar plane images: the camera moves along its own horizontal
+    axis and never turns.
 
     Args:
         span: length of the path in world units.

@@ -25,14 +25,18 @@ class FrameSource(Protocol):
 
     @property
     def digest(self) -> str:
-        """Identifies the content (names, sizes, bytes), so that results can be tied to their input."""
+        """Identifies the content (names, sizes, bytes), so that results can be tied to
+        their input.
+        """
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Decode frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
 
 
 def source_chain(source: FrameSource) -> Iterator[FrameSource]:
-    """Give a source and those that it takes its frames from, one behind the other, the files on disk last."""
+    """Give a source and those that it takes its frames from, one behind the other, the files on
+    disk last.
+    """
     inner: FrameSource | None = source
     while inner is not None:
         yield inner
@@ -51,7 +55,9 @@ class DepthSource(Protocol):
         """Identifies the content."""
 
     def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32 (H, W) like the frames."""
+        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32
+        (H, W) like the frames.
+        """
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,8 @@ class CaptureEdit:
     Attributes:
         hold_frames: number of instants for which one is held still; 0 lets time continue as it did.
         hold_frame: which one is held still.
-        sensor_noise_255: standard deviation of noise on every camera and instant, truth included, of 255 levels.
+        sensor_noise_255: standard deviation of noise on every camera and instant, truth included,
+            of 255 levels.
     """
 
     hold_frames: int = 0
@@ -107,11 +114,12 @@ class Calibration:
     Attributes:
         choice: ``given``, ``refined`` or ``compare``.
         cameras: those in use, ``given`` or ``refined``.
-        given_px: median epipolar error of near cameras as given, pixels of the pictures that features are found in; None if too
-            few match.
+        given_px: median epipolar error of near cameras as given, pixels of the pictures that
+            features are found in; None if too few match.
         refined_px: the same of refined cameras; None if none were found, as all the below.
         n_points: that they were refined by.
-        psnr_db: of source cameras rendered from each other with given and with refined cameras; empty if not compared.
+        psnr_db: of source cameras rendered from each other with given and with refined cameras;
+            empty if not compared.
         failure: why they could not be refined or compared; empty if they could.
     """
 
@@ -130,21 +138,30 @@ class Calibration:
 
     @property
     def limits_methods(self) -> bool:
-        """True if given cameras are in use that contradict the pictures, and none that render better are known."""
+        """True if given cameras are in use that contradict the pictures, and none that render
+        better are known.
+        """
         is_compared = self.cameras == "refined" or len(self.psnr_db) > 0
         return not is_compared and self.given_px is not None and self.given_px > PRECISE_PX
 
     def describe(self) -> str:
         """Return in words which cameras are used, and why."""
-        words = f"{self.cameras} cameras are used; median epipolar error {_pixels(self.given_px)} as given"
+        words = (
+            f"{self.cameras} cameras are used; median epipolar error {_pixels(self.given_px)} "
+            f"as given"
+        )
         if self.n_points:
             words += f", {_pixels(self.refined_px)} refined by {self.n_points} points"
         if self.psnr_db:
-            words += "; PSNR of source cameras {:.2f} dB as given, {:.2f} dB refined".format(*self.psnr_db)
+            words += "; PSNR of source cameras {:.2f} dB as given, {:.2f} dB refined".format(
+                *self.psnr_db
+            )
         if self.failure:
             words += f"; not compared: {self.failure}"
         is_skipped = self.choice == "compare" and self.is_precise
-        return words + (f": at most {PRECISE_PX} px, refined ones are not tried" if is_skipped else "")
+        return words + (
+            f": at most {PRECISE_PX} px, refined ones are not tried" if is_skipped else ""
+        )
 
 
 def _pixels(error_px: float | None) -> str:
@@ -166,7 +183,8 @@ class Capture:
         units_per_metre: world units per metre; metric constants of the method are multiplied by it.
         units_origin: where that number comes from, for the report.
         resize_filter: how frames are resampled when the cameras are resized.
-        extras: background, masks and sensor depth of each camera, same order; empty if the capture has none of them.
+        extras: background, masks and sensor depth of each camera, same order; empty if the capture
+            has none of them.
         notes: what was left out and why, for people.
         edit: what was done to the frames; None if they are as they were taken.
         test_views: cameras that its authors hold out; none if it does not say.
@@ -219,13 +237,19 @@ class Capture:
         index = self._index(name)
         stop = self.n_frames if stop is None else stop
         if not 0 <= start <= stop <= self.n_frames:
-            raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1} of {name}, the capture has {self.n_frames}")
+            raise CaptureError(
+                f"{self.path}: wanted frames {start}..{stop - 1} of {name}, the capture has "
+                f"{self.n_frames}"
+            )
         width, height = self.cameras[index].size
         for image in self.sources[index].frames(start, stop):
             yield resize(image, width, height, self.resize_filter)
 
     def frame(self, name: str, index: int) -> Image8:
-        """Return one frame of one camera; to walk through a video use `frames`, which decodes nothing twice."""
+        """Return one frame of one camera.
+
+        To walk through a video use `frames`, which decodes nothing twice.
+        """
         return next(self.frames(name, index, index + 1))
 
     def extras_of(self, name: str) -> Extras:
@@ -236,10 +260,15 @@ class Capture:
     @property
     def sensed_cameras(self) -> frozenset[str]:
         """Names of the cameras whose depth a sensor measured."""
-        return frozenset(name for name in self.camera_names if self.extras_of(name).depth is not None)
+        return frozenset(
+            name for name in self.camera_names if self.extras_of(name).depth is not None
+        )
 
     def background(self, name: str) -> Image8 | None:
-        """Return the static background of one camera at the size of that camera, (H, W, 3); None if the capture has none."""
+        """Return the static background of one camera at the size of that camera, (H, W, 3).
+
+        None if the capture has none.
+        """
         source = self.extras_of(name).background
         if source is None:
             return None
@@ -259,7 +288,10 @@ class Capture:
         return replace(self, cameras=cameras, resize_filter=resize_filter)
 
     def without(self, names: Sequence[str], reason: str) -> "Capture":
-        """Return the same capture lacking some cameras; the reason becomes a note if there are any."""
+        """Return the same capture lacking some cameras.
+
+        The reason becomes a note if there are any.
+        """
         if not set(names) & set(self.camera_names):
             return self
         indices = [index for index, camera in enumerate(self.cameras) if camera.name not in names]
@@ -278,5 +310,7 @@ class Capture:
 
     def _index(self, name: str) -> int:
         if name not in self.camera_names:
-            raise CaptureError(f"{self.path}: no camera {name!r}; the capture has {', '.join(self.camera_names)}")
+            raise CaptureError(
+                f"{self.path}: no camera {name!r}; the capture has {', '.join(self.camera_names)}"
+            )
         return self.camera_names.index(name)

@@ -1,7 +1,8 @@
-"""Depth, confidence and differences as colours that the colour-blind can distinguish, with their scales.
+"""Depth, confidence and differences as colours that the colour-blind can distinguish, with their
+scales.
 
-What has no value is drawn as a pattern, since any flat colour could be taken for one: light checks where nothing is known, dark
-and orange stripes where a value was filled in.
+What has no value is drawn as a pattern, since any flat colour could be taken for one: light checks
+where nothing is known, dark and orange stripes where a value was filled in.
 """
 
 from dataclasses import dataclass
@@ -54,7 +55,10 @@ def depth_scale(nearest: float, farthest: float) -> Scale:
 
 
 def confidence_colours(confidence: Map, is_known: Mask, is_filled: Mask) -> Image8:
-    """Confidence in cividis, 0 = dark blue, 1 = yellow; stripes where depth was filled in, checks if there is none."""
+    """Confidence in cividis, 0 = dark blue, 1 = yellow.
+
+    Stripes where depth was filled in, checks if there is none.
+    """
     colours = coloured(confidence, "cividis", is_known)
     row, column = np.nonzero(is_filled)
     colours[is_filled] = np.array(STRIPES, np.uint8)[(row + column) // STRIPE_PX % 2]
@@ -67,7 +71,10 @@ def confidence_scale() -> Scale:
 
 
 def difference_colours(difference: Map, is_known: Mask) -> Image8:
-    """Differences of images in magma, none = black, 64 of 255 levels or more = near white; checks if there is nothing."""
+    """Differences of images in magma, none = black, 64 of 255 levels or more = near white.
+
+    Checks if there is nothing.
+    """
     return coloured(_share(difference, 0, DIFFERENCE_FULL_SCALE), "magma", is_known)
 
 
@@ -88,9 +95,13 @@ def _share(values: Map, low: float, high: float) -> Map:
 
 
 def coloured(share: Map, name: str, is_known: Mask) -> Image8:
-    """Return the values from 0 to 1 in a colour map of Matplotlib, checks if there is none, (H, W, 3)."""
+    """Return the values from 0 to 1 in a colour map of Matplotlib, checks if there is none, (H, W,
+    3).
+    """
     colours = _table(name)
-    return with_checks(colours.take(np.clip(np.rint(share * 255), 0, 255).astype(np.intp), axis=0), is_known)
+    return with_checks(
+        colours.take(np.clip(np.rint(share * 255), 0, 255).astype(np.intp), axis=0), is_known
+    )
 
 
 def _table(name: str) -> Image8:
@@ -111,4 +122,8 @@ def _gradient(name: str) -> tuple[str, ...]:
 
 
 def _ticks(values: NDArray[np.floating]) -> tuple[tuple[float, float], ...]:
-    return tuple(zip(np.linspace(0, 1, len(values)).tolist(), np.asarray(values, float).tolist(), strict=True))
+    return tuple(
+        zip(
+            np.linspace(0, 1, len(values)).tolist(), np.asarray(values, float).tolist(), strict=True
+        )
+    )

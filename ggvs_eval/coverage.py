@@ -1,4 +1,6 @@
-"""Frames that each method of a run has: all of the protocol's, or fewer where it refused views or renders are partial."""
+"""Frames that each method of a run has: all of the protocol's, or fewer where it refused views or
+renders are partial.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,7 +50,9 @@ class Coverage:
         return self.partial[label].get(view, ()) if label in self.partial else self.numbers
 
     def stretches(self, label: str, view: str) -> tuple[range, ...]:
-        """Return the same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
+        """Return the same as runs of consecutive frames: what changes from frame to frame is
+        measured inside of each.
+        """
         stretches: list[range] = []
         for frame in self.frames(label, view):
             if stretches and stretches[-1].stop == frame:
@@ -58,28 +62,47 @@ class Coverage:
         return tuple(stretches)
 
     def unfinished(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> set[str]:
-        """Return the methods rendered here that lack frames which they have not refused: an earlier call was stopped."""
+        """Return the methods rendered here that lack frames which they have not refused: an earlier
+        call was stopped.
+        """
         local_labels = [label for label in labels if label not in self.imported]
         files = {
-            label: [frame_path(run.renders(label, view), frame) for view in views for frame in self.frames(label, view)]
+            label: [
+                frame_path(run.renders(label, view), frame)
+                for view in views
+                for frame in self.frames(label, view)
+            ]
             for label in local_labels
         }
-        return {label for label, frames in files.items() if not all(frame.is_file() for frame in frames)}
+        return {
+            label for label, frames in files.items() if not all(frame.is_file() for frame in frames)
+        }
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
         """Refuse a run in which frames are missing that should be there."""
         require_imported(run, labels)
         complete = [label for label in labels if label not in self.partial]
         if complete:
-            require_frames({f"{label} in {view}": run.renders(label, view) for label in complete for view in views}, self.numbers)
+            require_frames(
+                {
+                    f"{label} in {view}": run.renders(label, view)
+                    for label in complete
+                    for view in views
+                },
+                self.numbers,
+            )
         for label, by_view in self.partial.items():
             for view, frames in by_view.items():
                 for stretch in self.stretches(label, view) if frames else ():
                     require_frames({f"{label} in {view}": run.renders(label, view)}, stretch)
 
     def identity(self, label: str, view: str) -> dict[str, str]:
-        """Return what a score depends on besides the pixels: the frames, if they are not the protocol's."""
-        return {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
+        """Return what a score depends on besides the pixels: the frames, if they are not the
+        protocol's.
+        """
+        return (
+            {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
+        )
 
 
 def read_coverage(run: RunFolder, numbers: range, labels: Sequence[str]) -> Coverage:
@@ -87,14 +110,31 @@ def read_coverage(run: RunFolder, numbers: range, labels: Sequence[str]) -> Cove
     records = {label: read_import(run, label) for label in labels}
     imports = {label: record for label, record in records.items() if record}
     scene, views = run.capture_record()["scene"], run.protocol().views.test
-    refused = {label: reasons for label in labels if label not in imports and (reasons := _refusals(run, label, views))}
+    refused = {
+        label: reasons
+        for label in labels
+        if label not in imports and (reasons := _refusals(run, label, views))
+    }
     partial = {label: record["frames"] for label, record in imports.items() if record["partial"]}
-    partial |= {label: {view: numbers for view in views if view not in reasons} for label, reasons in refused.items()}
-    marks = {label: f"partial in {scene}: {imports[label]['partial']}" for label in imports if label in partial}
+    partial |= {
+        label: {view: numbers for view in views if view not in reasons}
+        for label, reasons in refused.items()
+    }
+    marks = {
+        label: f"partial in {scene}: {imports[label]['partial']}"
+        for label in imports
+        if label in partial
+    }
     for label, reasons in refused.items():
-        marks[label] = f"partial in {scene}: without {', '.join(reasons)} ({next(iter(reasons.values()))})"
-    origins = {label: {key: record[key] for key in SHOWN_FIELDS} for label, record in imports.items()}
-    return Coverage(numbers, partial, marks, origins, refused)
+        marks[label] = (
+            f"partial in {scene}: without {', '.join(reasons)} ({next(iter(reasons.values()))})"
+        )
+    origins = {
+        label: {key: record[key] for key in SHOWN_FIELDS} for label, record in imports.items()
+    }
+    return Coverage(
+        numbers=numbers, partial=partial, marks=marks, imported=origins, refused=refused
+    )
 
 
 def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
@@ -103,11 +143,16 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
         frames = (run.root / "renders" / label).glob("*/*.png")
         if lost := next((frame for frame in frames if not frame.exists()), None):
             remedy = f"restore them, or run `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
-            raise RenderError(f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; {remedy}")
+            raise RenderError(
+                f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; "
+                f"{remedy}"
+            )
 
 
 def frame_reader(folder: Path, measurement: Measurement | None = None) -> Callable[[int], Image8]:
-    """Return the frames of a folder as they are there, or at the size at which a protocol measures them."""
+    """Return the frames of a folder as they are there, or at the size at which a protocol measures
+    them.
+    """
 
     def read(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
@@ -122,7 +167,10 @@ def path_poses(run: RunFolder) -> range:
 
 
 def lacks_path(run: RunFolder, label: str) -> bool:
-    """Tell whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
+    """Tell whether a method was rendered along the path and some of it is lost.
+
+    One that refused the path has no picture.
+    """
     record = run.path(label) / JOB_FILE
     if not record.is_file() or REFUSED in read_json(record):
         return False
@@ -132,7 +180,11 @@ def lacks_path(run: RunFolder, label: str) -> bool:
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:
     """Return view -> why a method of this package cannot show it."""
     records = {view: run.renders(label, view) / JOB_FILE for view in views}
-    return {view: why for view, file in records.items() if file.is_file() and (why := read_json(file).get(REFUSED))}
+    return {
+        view: why
+        for view, file in records.items()
+        if file.is_file() and (why := read_json(file).get(REFUSED))
+    }
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
@@ -142,5 +194,7 @@ def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
 
 
 def guessed_first(run: RunFolder, label: str) -> int:
-    """Return the number in the names of imported frames that was taken for the capture's first instant; 0 if none was guessed."""
+    """Return the number in the names of imported frames that was taken for the capture's first
+    instant; 0 if none was guessed.
+    """
     return int((read_import(run, label) or {}).get("counted_from", 0))

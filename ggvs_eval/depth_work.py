@@ -1,4 +1,6 @@
-"""Depth maps of a store as tasks: maps as they are found, and maps that are checked against these."""
+"""Depth maps of a store as tasks: maps as they are found, and maps that are checked against
+these.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -10,8 +12,13 @@ Instants = Mapping[DepthJob, Sequence[int]]  # of each job, ascending
 FOUND, CHECKED = "depth", "checked depth"
 
 
-def depth_tasks(jobs: Iterable[DepthJob], frames: Sequence[int], store: DepthStore) -> list[FileTask]:
-    """Return the depth of some jobs as a store holds it; maps that only checks read may go after these."""
+def depth_tasks(
+    jobs: Iterable[DepthJob], frames: Sequence[int], store: DepthStore
+) -> list[FileTask]:
+    """Return the depth of some jobs as a store holds it.
+
+    Maps that only checks read may go after these.
+    """
     tasks = []
     for job in dict.fromkeys(jobs):
         needs = (job.unchecked, *job.checked_with) if job.checked_with else ()
@@ -20,7 +27,13 @@ def depth_tasks(jobs: Iterable[DepthJob], frames: Sequence[int], store: DepthSto
     return tasks
 
 
-def _task(job: DepthJob, frames: Sequence[int], store: DepthStore, kind: str, needs: Sequence[FileTask] = ()) -> FileTask:
+def _task(
+    job: DepthJob,
+    frames: Sequence[int],
+    store: DepthStore,
+    kind: str,
+    needs: Sequence[FileTask] = (),
+) -> FileTask:
     return FileTask(
         name=f"{kind} of {job.camera_name}",
         folder=store.folder(job.key),
@@ -33,9 +46,17 @@ def _task(job: DepthJob, frames: Sequence[int], store: DepthStore, kind: str, ne
     )
 
 
-def missing_depth(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
-    """Return the instants that a store lacks of some jobs: those to be found, and those to be checked."""
-    jobs_by_folder = {store.folder(need.key): need for job in jobs for need in (job, job.unchecked, *job.checked_with)}
+def missing_depth(
+    jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore
+) -> tuple[Instants, Instants]:
+    """Return the instants that a store lacks of some jobs: those to be found, and those to be
+    checked.
+    """
+    jobs_by_folder = {
+        store.folder(need.key): need
+        for job in jobs
+        for need in (job, job.unchecked, *job.checked_with)
+    }
     instants: dict[str, dict[DepthJob, list[int]]] = {FOUND: {}, CHECKED: {}}
     for task in left_of(depth_tasks(jobs, frames, store)):
         assert isinstance(task, FileTask)

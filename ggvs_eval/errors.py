@@ -1,6 +1,8 @@
-"""Errors that a user can fix, each with a one-line message that says how, and accidents of the machine.
+"""Errors that a user can fix, each with a one-line message that says how, and accidents of the
+machine.
 
-The command line prints these in one line and exits with 1. Anything else is a bug and keeps its traceback.
+The command line prints these in one line and exits with 1. Anything else is a bug and keeps its
+traceback.
 """
 
 import errno
@@ -12,7 +14,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
-LONGEST_WORD = 1000  # of a message: longer than most paths, shorter than what a hostile file calls a name
+# of a message: longer than most paths, shorter than what a hostile file calls a name
+LONGEST_WORD = 1000
 LONGEST_NAME = 100  # for which another is suggested: likeness takes time
 REMEDIES = {
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG): "make room",
@@ -20,7 +23,12 @@ REMEDIES = {
     (errno.EACCES, errno.EPERM): "ask for access or choose another place",
     (errno.EEXIST, errno.ENOTDIR, errno.EISDIR): "choose another path",
     (errno.EMFILE, errno.ENFILE): "raise the limit of open files (ulimit -n) or use fewer --jobs",
-    (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "check that the other side still runs",
+    (
+        errno.ECONNREFUSED,
+        errno.ECONNRESET,
+        errno.EPIPE,
+        errno.ETIMEDOUT,
+    ): "check that the other side still runs",
 }
 GO_ON = "finished work is kept; run the same command to resume"
 
@@ -29,7 +37,9 @@ class GgvsError(Exception):
     """Base of every error that the user can fix."""
 
     def __str__(self) -> str:
-        """Return the message as one line of printable text, also if a damaged file supplied names."""
+        """Return the message as one line of printable text, also if a damaged file supplied
+        names.
+        """
         return one_line(super().__str__())
 
 
@@ -98,7 +108,8 @@ class ResultsError(GgvsError):
 
 
 def one_line(text: str) -> str:
-    r"""Return a text without line breaks, signs that cannot be printed and words beyond all measure.
+    r"""Return a text without line breaks, signs that cannot be printed and words beyond all
+    measure.
 
     Examples:
         >>> one_line("a\n  b" + 2000 * "x")[:12]
@@ -107,7 +118,10 @@ def one_line(text: str) -> str:
         1003
     """
     printable = "".join(sign if sign.isprintable() else " " for sign in text)
-    words = (word if len(word) <= LONGEST_WORD else f"{word[:LONGEST_WORD]}..." for word in printable.split(" "))
+    words = (
+        word if len(word) <= LONGEST_WORD else f"{word[:LONGEST_WORD]}..."
+        for word in printable.split(" ")
+    )
     return " ".join(words)
 
 
@@ -115,24 +129,34 @@ def mendable(error: BaseException) -> str | None:
     """Return the line by which a user can fix an error; None for a bug of the package.
 
     Args:
-        error: one of this package, or what the operating system refused: a full disk, a folder that cannot be written, ...
+        error: one of this package, or what the operating system refused: a full disk, a folder that
+            cannot be written, ...
 
     Examples:
-        >>> mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png"))
-        'run/a.png: No space left on device; make room; finished work is kept; run the same command to resume'
-        >>> mendable(MemoryError())
-        'out of memory; raise the limit (ulimit -v) or lower --jobs; finished work is kept; run the same command to resume'
+        >>> print(mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png")))
+        run/a.png: No space left on device; make room; finished work is kept; ...
+        >>> print(mendable(MemoryError()))
+        out of memory; raise the limit (ulimit -v) or lower --jobs; finished work is kept; ...
         >>> mendable(ZeroDivisionError()) is None
         True
     """
     if isinstance(error, GgvsError):
         return str(error)
     if isinstance(error, MemoryError):
-        return one_line(f"out of memory{': ' * bool(str(error))}{error}; raise the limit (ulimit -v) or lower --jobs; {GO_ON}")
+        return one_line(
+            f"out of memory{': ' * bool(str(error))}{error}; raise the limit (ulimit -v) or lower "
+            f"--jobs; {GO_ON}"
+        )
     if not isinstance(error, OSError):
         return None
-    remedy = "".join(f"; {remedy}" for numbers, remedy in REMEDIES.items() if error.errno in numbers)
-    files = [str(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
+    remedy = "".join(
+        f"; {remedy}" for numbers, remedy in REMEDIES.items() if error.errno in numbers
+    )
+    files = [
+        str(name)
+        for name in (error.filename, error.filename2)
+        if isinstance(name, str | os.PathLike)
+    ]
     reason = error.strerror or str(error) or type(error).__name__
     return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{remedy}; {GO_ON}")
 
@@ -154,19 +178,28 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: s
         '; did you mean dynerf?'
         >>> did_you_mean("x", ["dynerf", "d3dmv"])
         ''
-        >>> did_you_mean("cam3", ["cam03", "cam23"]), did_you_mean("cam03,cam23", ["cam03", "cam23"])
+        >>> (
+        ...     did_you_mean("cam3", ["cam03", "cam23"]),
+        ...     did_you_mean("cam03,cam23", ["cam03", "cam23"]),
+        ... )
         ('; did you mean cam03?', '; separate names by spaces: cam03 cam23')
     """
     candidates = list(names)
     if "," in name and set(parts := re.split(r"[,\s]+", name.strip(", "))) <= {*candidates}:
         return f"; separate names by spaces: {' '.join(parts)}"
-    alike = [candidate for candidate in candidates if _plain_numbers(candidate) == _plain_numbers(name)]
-    nearest = alike or (get_close_matches(name, candidates, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else [])
+    alike = [
+        candidate for candidate in candidates if _plain_numbers(candidate) == _plain_numbers(name)
+    ]
+    nearest = alike or (
+        get_close_matches(name, candidates, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else []
+    )
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""
 
 
 def no_such_path(path: Path, kind: str) -> str:
-    """Return the message that there is nothing at a path, with the name next to it that was probably meant."""
+    """Return the message that there is nothing at a path, with the name next to it that was
+    probably meant.
+    """
     place = path.parent
     names = [neighbour.name for neighbour in place.iterdir()] if place.is_dir() else []
     suggestion = did_you_mean(path.name, names, prefix="" if str(place) == "." else f"{place}/")
@@ -196,4 +229,8 @@ class Failure:
     def of(cls, name: str, error: Exception) -> "Failure":
         """Make the failure of a task from an error; call it while the error is handled."""
         line = mendable(error)
-        return cls(name, line) if line else cls(name, f"{type(error).__name__}: {error}", traceback.format_exc())
+        return (
+            cls(name, line)
+            if line
+            else cls(name, f"{type(error).__name__}: {error}", traceback.format_exc())
+        )

@@ -4,11 +4,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-# Of a question that is put to every camera: ok, could not be found out, look at it, or results would be spoilt. Of a fault that
-# is given only if there is one: an unusual rendering could explain the evidence too, or nothing else does.
+# Of a question that is put to every camera: ok, could not be found out, look at it, or results
+# would be spoilt. Of a fault that is given only if there is one: an unusual rendering could explain
+# the evidence too, or nothing else does.
 Verdict = Literal["ok", "unknown", "warn", "bad", "likely", "certain"]
-# From harmless to harmful: a rig is as good as its worst camera; what could not be found out is reported, but stops nothing.
-SEVERITY: Mapping[str, int] = {"ok": 0, "unknown": 1, "warn": 2, "likely": 2, "bad": 3, "certain": 3}
+# From harmless to harmful: a rig is as good as its worst camera; what could not be found out is
+# reported, but stops nothing.
+SEVERITY: Mapping[str, int] = {
+    "ok": 0,
+    "unknown": 1,
+    "warn": 2,
+    "likely": 2,
+    "bad": 3,
+    "certain": 3,
+}
 RIG = "rig"
 
 

@@ -1,4 +1,6 @@
-"""``python -m ggvs_eval.install``: what pip cannot do - system libraries of Open3D, weights of LPIPS and DISTS. Idempotent."""
+"""``python -m ggvs_eval.install``: what pip cannot do - system libraries of Open3D, weights of
+LPIPS and DISTS. Idempotent.
+"""
 
 import os
 import shutil
@@ -15,14 +17,21 @@ LOCKED = "Could not get lock"
 
 
 def main() -> None:
-    """Make Open3D importable or say how, and fetch what LPIPS and DISTS need or say what will be missing."""
+    """Make Open3D importable or say how, and fetch what LPIPS and DISTS need or say what will be
+    missing.
+    """
     if not _imports_open3d():
         _install_system_libraries()
     _fetch_weights()
 
 
 def _imports_open3d() -> bool:
-    return subprocess.run([sys.executable, "-c", "import open3d"], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run(
+            [sys.executable, "-c", "import open3d"], capture_output=True, check=False
+        ).returncode
+        == 0
+    )
 
 
 def _install_system_libraries() -> None:
@@ -32,7 +41,10 @@ def _install_system_libraries() -> None:
         run_apt("update", "-q")
         run_apt(*words)
     if not _imports_open3d():
-        sys.exit(f"Open3D needs system libraries; on Debian or Ubuntu run: sudo apt-get {' '.join(words)}")
+        sys.exit(
+            f"Open3D needs system libraries; on Debian or Ubuntu run: sudo apt-get "
+            f"{' '.join(words)}"
+        )
 
 
 def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
@@ -45,13 +57,15 @@ def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
         Its exit status; what it complains of goes to standard error.
 
     Reading:
-        apt-get's own ``DPkg::Lock::Timeout`` waits for dpkg alone, and not for the lists of packages, which another ``update``
-        locks. So it is asked again, in English.
+        apt-get's own ``DPkg::Lock::Timeout`` waits for dpkg alone, and not for the lists of
+        packages, which another ``update`` locks. So it is asked again, in English.
     """
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C"}
     deadline = time.monotonic() + wait_s
     while True:
-        process = subprocess.run(["apt-get", *words], env=environment, capture_output=True, text=True, check=False)
+        process = subprocess.run(
+            ["apt-get", *words], env=environment, capture_output=True, text=True, check=False
+        )
         if process.returncode == 0 or LOCKED not in process.stderr or time.monotonic() > deadline:
             sys.stderr.write(process.stderr)
             return process.returncode

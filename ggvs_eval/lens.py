@@ -1,4 +1,6 @@
-"""Lens distortion, between the image of a real lens and the pinhole image that everything else assumes."""
+"""Lens distortion, between the image of a real lens and the pinhole image that everything else
+assumes.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -16,15 +18,20 @@ PIXEL_CENTRE = 0.5
 BORDER_POINTS = 64
 LARGEST_ZOOM = 4.0
 RADIAL_STEPS = 16
-# Of the focal length; 0.1 px at the edge of a large image. A K with more is one of another convention.
+# Of the focal length; 0.1 px at the edge of a large image. A K with more is one of another
+# convention.
 LARGEST_SKEW = 1e-4
-# A principal point farther off the middle, in sides of the image, belongs to images of another size.
+# A principal point farther off the middle, in sides of the image, belongs to images of another
+# size.
 LARGEST_OFFSET = 0.15
-FRACTION = 1.5  # pixels, the half by which pixel centres differ included: so near the corner it is a fraction of the side
+# pixels, the half by which pixel centres differ included: so near the corner it is a fraction of
+# the side
+FRACTION = 1.5
 
 
 def check_K_size(K: Array, size: tuple[int, int], is_stated: bool) -> None:
-    """Refuse a K in fractions of the side and, where nothing says which size it is of, one of images of another size.
+    """Refuse a K in fractions of the side and, where nothing says which size it is of, one of
+    images of another size.
 
     Args:
         K: (3, 3), pixels.
@@ -37,8 +44,8 @@ def check_K_size(K: Array, size: tuple[int, int], is_stated: bool) -> None:
     point, sides = K[:2, 2], np.array(size, np.float64)
     if (np.abs(point) <= FRACTION).all() and min(size) > 4 * FRACTION:
         raise CameraError(
-            f"wanted the principal point in pixels of {size[0]} x {size[1]} images, got ({point[0]:g}, {point[1]:g}): fractions "
-            "of the side; multiply by width and height"
+            f"wanted the principal point in pixels of {size[0]} x {size[1]} images, got "
+            f"({point[0]:g}, {point[1]:g}): fractions of the side; multiply by width and height"
         )
     if is_stated or (np.abs(point / sides - 0.5) <= LARGEST_OFFSET).all():
         return
@@ -46,8 +53,9 @@ def check_K_size(K: Array, size: tuple[int, int], is_stated: bool) -> None:
     width, height = np.round(factor * sides)
     if factor > 0 and (np.abs(point / (factor * sides) - 0.5) <= LARGEST_OFFSET).all():
         raise CameraError(
-            f"K is of about {width:g} x {height:g} images, by its principal point ({point[0]:g}, {point[1]:g}), these have "
-            f"{size[0]} x {size[1]}: add the size that it is of, or scale K as the images were scaled"
+            f"K is of about {width:g} x {height:g} images, by its principal point ({point[0]:g}, "
+            f"{point[1]:g}), these have {size[0]} x {size[1]}: add the size that it is of, or "
+            "scale K as the images were scaled"
         )
 
 
@@ -56,14 +64,18 @@ class Lens:
     """A lens in one of OpenCV's two models.
 
     Attributes:
-        K: intrinsics of the distorted image in pixels, (3, 3); pixel centres at halves, as everywhere here.
-        model: ``opencv`` (radial, tangential, rational: k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or ``fisheye`` (equidistant: k1 .. k4).
+        K: intrinsics of the distorted image in pixels, (3, 3); pixel centres at halves, as
+            everywhere here.
+        model: ``opencv`` (radial, tangential, rational: k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or
+            ``fisheye`` (equidistant: k1 .. k4).
         coefficients: of the model, in OpenCV's order.
         width: of the distorted image, pixels.
 
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
-        >>> Lens(K, "opencv", (-0.1, 0.0, 0.0, 0.0), 8, 6).distort(np.array([[8.0, 3.0]]), K).tolist()
+        >>> Lens(K, "opencv", (-0.1, 0.0, 0.0, 0.0), 8, 6).distort(
+        ...     np.array([[8.0, 3.0]]), K
+        ... ).tolist()
         [[7.9, 3.0]]
     """
 
@@ -74,20 +86,29 @@ class Lens:
     height: int
 
     def __post_init__(self) -> None:
-        """Refuse a K that is none, and coefficients that the model does not have or that are no numbers."""
+        """Refuse a K that is none, and coefficients that the model does not have or that are no
+        numbers.
+        """
         K = self.K
         is_K = (
-            K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and abs(K[0, 1]) <= LARGEST_SKEW * K[0, 0]
+            K.shape == (3, 3)
+            and np.isfinite(K).all()
+            and K[0, 0] > 0
+            and K[1, 1] > 0
+            and abs(K[0, 1]) <= LARGEST_SKEW * K[0, 0]
         )
         if not is_K or np.any(K[[1, 2, 2, 2], [0, 0, 1, 2]] != (0, 0, 0, 1)):
             rows = " / ".join(" ".join(f"{value:.6g}" for value in row) for row in K)
-            raise CameraError(f"lens: K must be fx 0 cx / 0 fy cy / 0 0 1 in pixels, zero skew, got {rows}")
+            raise CameraError(
+                f"lens: K must be fx 0 cx / 0 fy cy / 0 0 1 in pixels, zero skew, got {rows}"
+            )
         if self.width < 1 or self.height < 1:
             raise CameraError(f"lens: the size must be positive, got {self.width} x {self.height}")
         counts = COEFFICIENTS[self.model]
         if len(self.coefficients) not in counts or not np.isfinite(self.coefficients).all():
             raise CameraError(
-                f"lens: the {self.model} model wants {' or '.join(map(str, counts))} finite coefficients, got {self.coefficients}"
+                f"lens: the {self.model} model wants {' or '.join(map(str, counts))} finite "
+                f"coefficients, got {self.coefficients}"
             )
 
     @property
@@ -127,22 +148,24 @@ class Lens:
     def undistorted_K(self) -> Array:
         """Return the intrinsics of a pinhole image of the same size in which no pixel is blank.
 
-        The lens's own K where that leaves no blank pixel (barrel distortion), else one zoomed in just far enough. The same where
-        the model folds over, as strong barrel distortion does beyond the angles that it was calibrated for.
+        The lens's own K where that leaves no blank pixel (barrel distortion), else one zoomed in
+        just far enough. The same where the model folds over, as strong barrel distortion does
+        beyond the angles that it was calibrated for.
         """
         if self._covers(1.0):
             return self.K
         is_within = 0 < self.K[0, 2] < self.width and 0 < self.K[1, 2] < self.height
         if not any(self.coefficients) and self.model == "opencv" and not is_within:
             raise CameraError(
-                f"lens: the principal point ({self.K[0, 2]:g}, {self.K[1, 2]:g}) is not within {self.width} x {self.height} "
-                "images; give K in pixels of these, or the size that it is of"
+                f"lens: the principal point ({self.K[0, 2]:g}, {self.K[1, 2]:g}) is not within "
+                f"{self.width} x {self.height} images; give K in pixels of these, or the size that "
+                "it is of"
             )
         blank, covered = 1.0, LARGEST_ZOOM
         if not self._covers(covered):
             raise CameraError(
-                f"lens: coefficients {self.coefficients} leave blank pixels even at {LARGEST_ZOOM:g} times the focal length; "
-                "calibrate this lens again"
+                f"lens: coefficients {self.coefficients} leave blank pixels even at "
+                f"{LARGEST_ZOOM:g} times the focal length; calibrate this lens again"
             )
         while covered - blank > 1e-4:
             middle = (blank + covered) / 2
@@ -153,14 +176,19 @@ class Lens:
         return self.K * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
 
     def _covers(self, zoom: float) -> bool:
-        """Return whether the pinhole image at this zoom is inside the distorted one, and no part of it twice."""
+        """Return whether the pinhole image at this zoom is inside the distorted one, and no part of
+        it twice.
+        """
         along = np.linspace(0.0, 1.0, BORDER_POINTS)
         ends = np.zeros(BORDER_POINTS), np.ones(BORDER_POINTS)
-        border = np.concatenate([np.stack(side, axis=-1) for end in ends for side in ((along, end), (end, along))])
+        border = np.concatenate(
+            [np.stack(side, axis=-1) for end in ends for side in ((along, end), (end, along))]
+        )
         size = np.array([self.width, self.height])
         outwards = np.linspace(0.0, 1.0, RADIAL_STEPS + 1)[1:, None, None]
         K = self._zoomed(zoom)
-        spokes = self.distort(K[:2, 2] + outwards * (border * size - K[:2, 2]), K)  # (steps, border, 2)
+        # (steps, border, 2)
+        spokes = self.distort(K[:2, 2] + outwards * (border * size - K[:2, 2]), K)
         u, v = spokes[-1].T
         is_inside = (u >= 0) & (u <= self.width) & (v >= 0) & (v <= self.height)
         radii = np.linalg.norm(spokes - K[:2, 2], axis=-1)

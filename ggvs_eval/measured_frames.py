@@ -21,7 +21,8 @@ class MeasuringWay:
     """Frame preparation of an evaluator of published values.
 
     Attributes:
-        size: width and height to which both frames are resized bilinearly, in floats that stay unrounded; None keeps theirs.
+        size: width and height to which both frames are resized bilinearly, in floats that stay
+            unrounded; None keeps theirs.
         is_cut: whether a tenth of the size is cut off at every side, rounded down.
         ssim: the variant of SSIM that it computes.
         describe: what it does, for captions.
@@ -36,26 +37,38 @@ class MeasuringWay:
         """Prepare a frame, (H, W, 3) uint8; the result is float64 in [0, 1] if it is resized."""
         frame: NDArray[Any] = image
         if self.size:
-            frame = cv2.resize(image.astype(np.float64) / 255, self.size, interpolation=cv2.INTER_LINEAR)
+            frame = cv2.resize(
+                image.astype(np.float64) / 255, self.size, interpolation=cv2.INTER_LINEAR
+            )
         return cut_border(frame) if self.is_cut else frame
 
 
-# Reading: both hand float frames to scikit-image without a range, whose default for these was 2 up to version 0.19.
+# Reading: both hand float frames to scikit-image without a range, whose default for these was 2 up
+# to version 0.19.
 MVSNERF = MeasuringWay(
-    (960, 640),
-    True,
-    "uniform7-range2",
-    "as MVSNeRF's notebook: both frames resized to 960 x 640, a tenth cut off at every side, SSIM of range 2",
+    size=(960, 640),
+    is_cut=True,
+    ssim="uniform7-range2",
+    describe="as MVSNeRF's notebook: both frames resized to 960 x 640, a tenth cut off at every "
+    "side, SSIM of range 2",
 )
 WAYS: Mapping[WayName, MeasuringWay | None] = {
     "as-is": None,
     "mvsnerf": MVSNERF,
-    "enerf": MeasuringWay(None, True, "uniform7-range2", "as ENeRF's evaluator: a tenth cut off at every side, SSIM of range 2"),
+    "enerf": MeasuringWay(
+        size=None,
+        is_cut=True,
+        ssim="uniform7-range2",
+        describe="as ENeRF's evaluator: a tenth cut off at every side, SSIM of range 2",
+    ),
 }
 
 
 def measuring_way(measurement: Measurement) -> MeasuringWay | None:
-    """Return the way of measuring that a protocol asks for; None where frames are measured as they are."""
+    """Return the way of measuring that a protocol asks for.
+
+    None where frames are measured as they are.
+    """
     return WAYS[measurement.as_]
 
 
@@ -77,7 +90,9 @@ def resized_frame(image: Image8, measurement: Measurement) -> Image8:
 
 
 def measured_mask(mask: Image8, measurement: Measurement) -> Mask:
-    """Return a mask, white where it counts, at the size and in the part in which frames are measured."""
+    """Return a mask, white where it counts, at the size and in the part in which frames are
+    measured.
+    """
     way = measuring_way(measurement)
     for size in ((measurement.width, measurement.height), way.size if way else None):
         if size and size[0]:

@@ -1,11 +1,14 @@
-"""Plug-ins: metrics, methods and layouts of other packages and single files, known by name like the built-in ones.
+"""Plug-ins: metrics, methods and layouts of other packages and single files, known by name like the
+built-in ones.
 
-A package names its objects as entry points of the groups ``ggvs_eval.metrics``, ``ggvs_eval.methods`` and
-``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS = {"P99": ...}``. An object is what the registry of its
-kind holds. It is imported when it is asked for by its name, or when everything of its kind is tried.
+A package names its objects as entry points of the groups ``ggvs_eval.metrics``,
+``ggvs_eval.methods`` and ``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS =
+{"P99": ...}``. An object is what the registry of its kind holds. It is imported when it is asked
+for by its name, or when everything of its kind is tried.
 
-What goes wrong in it costs what it was to give, and is called by its name: its code is called in `foreign`, with copies of
-arrays, and its metrics are measured in processes of their own (`metrics/foreign.py`).
+What goes wrong in it costs what it was to give, and is called by its name: its code is called in
+`foreign`, with copies of arrays, and its metrics are measured in processes of their own
+(`metrics/foreign.py`).
 """
 
 import hashlib
@@ -49,16 +52,20 @@ class Plugin:
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """Objects of one kind by name: those that ship and those of plug-ins, each imported when it is asked for by its name.
+    """Objects of one kind by name: those that ship and those of plug-ins, each imported when it is
+    asked for by its name.
 
-    What ships in a package that is not installed is left out; asked for, it is an error that names the package.
+    What ships in a package that is not installed is left out; asked for, it is an error that names
+    the package.
 
     Args:
         kind: of the objects; one of `Kind` has plug-ins too.
-        shipped: ``module:attribute`` of each that ships, or from what it is derived; see `ggvs_eval.built_in`. An object is
-            for itself.
-        check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
-        absent: makes a substitute of the name and the reason for one that is not installed; without, that is an error.
+        shipped: ``module:attribute`` of each that ships, or from what it is derived; see
+            `ggvs_eval.built_in`. An object is for itself.
+        check: makes an object of what a plug-in offers; raises `TypeError` where that is of another
+            kind.
+        absent: makes a substitute of the name and the reason for one that is not installed;
+            without, that is an error.
         needs: the module of another project that what ships here imports.
     """
 
@@ -99,7 +106,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 except ModuleNotFoundError as error:  # of a part that it builds on
                     if not str(error.name).startswith("ggvs_eval."):
                         raise
-                    reason = f"{name} wants {error.name}, which is not installed; reinstall ggvs-eval or omit it"
+                    reason = (
+                        f"{name} wants {error.name}, which is not installed; reinstall "
+                        f"ggvs-eval or omit it"
+                    )
             if self._absent is None:
                 raise AbsentPartError(reason)
             return self._absent(name, reason)
@@ -118,7 +128,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return len(self.present()) + len(self.plugins)
 
     def present(self) -> list[str]:
-        """Return the names of what ships, in order, without what is not installed; nothing is loaded."""
+        """Return the names of what ships, in order, without what is not installed.
+
+        Nothing is loaded.
+        """
         return [name for name in self.shipped if self.is_present(name)]
 
     def known(self) -> list[str]:
@@ -144,19 +157,36 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return {name: self[name] for name in self.present()}
 
     def why_absent(self, name: str) -> str:
-        """Return the reason why a name that ships is not there, in a line; empty if it is there, or does not ship."""
+        """Return the reason why a name that ships is not there, in a line.
+
+        Empty if it is there, or does not ship.
+        """
         if name not in self.shipped:
             return ""
         if self._needs and not is_installed(self._needs):
-            return f"{name} wants the module {self._needs}, which is not installed; install it or remove {name}"
+            return (
+                f"{name} wants the module {self._needs}, which is not installed; install it or "
+                f"remove {name}"
+            )
         part = next(filter(None, map(missing_part, self._modules(self.shipped[name]))), None)
-        return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or omit it" if part else ""
+        return (
+            f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or omit it"
+            if part
+            else ""
+        )
 
     def root(self, name: str) -> str | None:
-        """Return the module that an entry that ships is loaded from, for the identity of its code; None of an object."""
+        """Return the module that an entry that ships is loaded from, for the identity of its code.
+
+        None of an object.
+        """
         entry = self.shipped[name]
         if isinstance(entry, Derived):
-            return self.root(entry.base) if entry.base in self.shipped else entry.base.partition(":")[0]
+            return (
+                self.root(entry.base)
+                if entry.base in self.shipped
+                else entry.base.partition(":")[0]
+            )
         return entry.partition(":")[0] if isinstance(entry, str) else None
 
     def _modules(self, entry: Any) -> Iterator[str]:
@@ -176,7 +206,9 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return pkgutil.resolve_name(entry) if isinstance(entry, str) else entry
 
     def working(self) -> Iterator[tuple[str, Entry]]:
-        """Yield every name with its object, without plug-ins that do not work, of which a line says so."""
+        """Yield every name with its object, without plug-ins that do not work, of which a line says
+        so.
+        """
         for name in self:
             try:
                 yield name, self[name]
@@ -184,8 +216,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 say_once(str(error))
 
     def origins(self, names: Iterable[str]) -> dict[str, str]:
-        """Return package and version, or file, of names from plug-ins, for the record of results."""
-        return {name: self.plugins[name].origin for name in names if name not in self.shipped and name in self.plugins}
+        """Return package and version, or file, of names from plug-ins, for the record of
+        results.
+        """
+        return {
+            name: self.plugins[name].origin
+            for name in names
+            if name not in self.shipped and name in self.plugins
+        }
 
     def _load(self, plugin: Plugin) -> Entry:
         with foreign(f"{plugin.origin}: {self._kind} {plugin.name!r} cannot be used"):
@@ -194,11 +232,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 @contextmanager
 def foreign(subject: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
-    """Turn whatever a plug-in's code raises in the block but Ctrl-C into an error of this package; it may not change the folder.
+    """Turn whatever a plug-in's code raises in the block but Ctrl-C into an error of this package.
+
+    It may not change the folder.
 
     Args:
         subject: the plug-in, and what of it, for the message.
-        kind: of the error; those of this package pass as they are, unless they are to cost a view alone.
+        kind: of the error; those of this package pass as they are, unless they are to cost a view
+            alone.
     """
     passes = kind if kind is ViewRefusedError else GgvsError
     try:
@@ -218,11 +259,15 @@ def use_file(path: Path) -> None:
     """
     file = path.resolve()
     if os.pathsep in str(file):
-        raise PluginError(f"{file}: wanted a path without {os.pathsep!r}, the separator of such paths; move or rename it")
+        raise PluginError(
+            f"{file}: wanted a path without {os.pathsep!r}, the separator of such paths; move or "
+            f"rename it"
+        )
     module = _module_of(file)
     if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in get_args(Kind)):
         raise PluginError(
-            f"{path}: wanted a table METRICS, METHODS, DATASETS or SECTIONS of names and objects, got none; see docs/extending.md"
+            f"{path}: wanted a table METRICS, METHODS, DATASETS or SECTIONS of names and objects, "
+            f"got none; see docs/extending.md"
         )
     named = [name for name in os.environ.get(FILES, "").split(os.pathsep) if name]
     os.environ[FILES] = os.pathsep.join(dict.fromkeys([*named, str(file)]))
@@ -231,7 +276,10 @@ def use_file(path: Path) -> None:
 
 @cache
 def missing_part(module: str) -> str | None:
-    """Return the outermost package of a dotted name that is not installed, or the module itself; None if it is there."""
+    """Return the outermost package of a dotted name that is not installed, or the module itself.
+
+    None if it is there.
+    """
     above = module.rpartition(".")[0]
     if above and (part := missing_part(above)):
         return part
@@ -239,7 +287,10 @@ def missing_part(module: str) -> str | None:
 
 
 def is_installed(module: str) -> bool:
-    """True if a module can be imported; a mere folder of its name, which Python takes for a namespace, is none."""
+    """True if a module can be imported.
+
+    A mere folder of its name, which Python takes for a namespace, is none.
+    """
     spec = find_spec(module)
     return spec is not None and spec.origin is not None
 
@@ -253,12 +304,15 @@ def imported(reference: str) -> Any:
 
 
 def plugin_digest(module: str) -> str:
-    """Return the SHA-256 of a foreign module's code: of all sources of its package, or of its file."""
+    """Return the SHA-256 of a foreign module's code: of all sources of its package, or of
+    its file.
+    """
     top = module.partition(".")[0]
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin:
         raise PluginError(
-            f"plug-in module {module}: wanted its source for the identity of jobs, found none; install it from source"
+            f"plug-in module {module}: wanted its source for the identity of jobs, found none; "
+            f"install it from source"
         )
     origin = Path(spec.origin)
     files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
@@ -273,7 +327,10 @@ def _offered(kind: str, names_in_use: frozenset[str]) -> dict[str, Plugin]:
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in names_in_use or plugin.name in offered:
-            say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is ignored; rename it")
+            say_once(
+                f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is "
+                f"ignored; rename it"
+            )
         else:
             offered[plugin.name] = plugin
     return offered
@@ -295,9 +352,14 @@ def _of_files(kind: str) -> Iterator[Plugin]:
 def _module_of(file: Path) -> ModuleType:
     """Import a file under its own name, by which worker processes find what is sent to them."""
     if not file.is_file():
-        raise PluginError(f"{file}: wanted a Python file with plug-ins, got no such file; check the path")
+        raise PluginError(
+            f"{file}: wanted a Python file with plug-ins, got no such file; check the path"
+        )
     if file.suffix != ".py" or not file.stem.isidentifier():
-        raise PluginError(f"{file}: wanted a Python file whose name can be imported, such as my_metrics.py; rename it")
+        raise PluginError(
+            f"{file}: wanted a Python file whose name can be imported, such as my_metrics.py; "
+            f"rename it"
+        )
     if str(file.parent) not in sys.path:
         sys.path.append(str(file.parent))
     with foreign(f"{file}: cannot be imported"):

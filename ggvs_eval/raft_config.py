@@ -1,4 +1,6 @@
-"""Shapes of RAFT-Stereo: three published ones, so that their checkpoints load, and the compact one that ships."""
+"""Shapes of RAFT-Stereo: three published ones, so that their checkpoints load, and the compact one
+that ships.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -24,8 +26,8 @@ class RaftShape:
         motion_width: channels of the motion encoder's first layers.
         motion_features: channels that it gives; those of the state where None.
         head_width: channels inside the heads for flow and upsampling weights.
-        early_stride: the trunk halves the image as early as it can; the authors halve as late as they can, which costs four times
-            as much.
+        early_stride: the trunk halves the image as early as it can; the authors halve as late as
+            they can, which costs four times as much.
     """
 
     shared_backbone: bool = False
@@ -49,7 +51,10 @@ class RaftShape:
     @property
     def strides(self) -> tuple[int, int, int]:
         """Strides of the trunk's first convolution, second and third stage."""
-        first, second, third = (1 + (self.n_downsample > step) for step in ((0, 1, 2) if self.early_stride else (2, 1, 0)))
+        first, second, third = (
+            1 + (self.n_downsample > step)
+            for step in ((0, 1, 2) if self.early_stride else (2, 1, 0))
+        )
         return first, second, third
 
 

@@ -1,7 +1,8 @@
-"""The recurrent part of RAFT-Stereo: correlation and flow go in, a step of flow and weights for upsampling come out.
+"""The recurrent part of RAFT-Stereo: correlation and flow go in, a step of flow and weights for
+upsampling come out.
 
-Names of modules are those of the published checkpoints, of RAFT-Stereo and of GPS-Gaussian; 08, 16 and 32 count as if the finest
-level lay at an eighth of the image.
+Names of modules are those of the published checkpoints, of RAFT-Stereo and of GPS-Gaussian; 08, 16
+and 32 count as if the finest level lay at an eighth of the image.
 """
 
 import torch
@@ -10,27 +11,40 @@ from torch.nn import functional
 
 from ggvs_eval.raft_config import CORR_LEVELS, CORR_RADIUS, RaftShape
 
-VOLUME_BYTES = 512 * 2**20  # a larger volume is not kept but computed again for every lookup, row by row
-Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
+# a larger volume is not kept but computed again for every lookup, row by row
+VOLUME_BYTES = 512 * 2**20
+# the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
+Context = tuple[Tensor, Tensor]
 
 
 def at_least_single(tensor: Tensor) -> Tensor:
-    """Return the tensor in single precision where it had less; positions need it although features do not."""
+    """Return the tensor in single precision where it had less.
+
+    Positions need it although features do not.
+    """
     return tensor.to(torch.promote_types(tensor.dtype, torch.float32))
 
 
 class Correlation:
     """Correlation of two feature maps, averaged over 1, 2, 4, ... cells of the right row.
 
-    Averaging correlations equals correlating with averaged features, so that the levels need not be kept: where the volume would
-    be larger than `volume_bytes`, each lookup computes it again for as many rows at a time as fit.
+    Averaging correlations equals correlating with averaged features, so that the levels need not be
+    kept: where the volume would be larger than `volume_bytes`, each lookup computes it again for as
+    many rows at a time as fit.
 
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
     """
 
-    def __init__(self, left: Tensor, right: Tensor, levels: int, radius: int, volume_bytes: int = VOLUME_BYTES) -> None:
+    def __init__(
+        self,
+        left: Tensor,
+        right: Tensor,
+        levels: int,
+        radius: int,
+        volume_bytes: int = VOLUME_BYTES,
+    ) -> None:
         self.radius = radius
         self._left = left.permute(0, 2, 3, 1)  # (B, H, W, C)
         pyramid = [right]
@@ -38,7 +52,9 @@ class Correlation:
             pyramid.append(functional.avg_pool2d(pyramid[-1], (1, 2), (1, 2)))
         self._right = [level.permute(0, 2, 1, 3) for level in pyramid]  # (B, H, C, W_l) each
         batch, height, width, _ = self._left.shape
-        row_bytes = batch * width * sum(level.shape[-1] + 2 * self._margin for level in self._right) * 4
+        row_bytes = (
+            batch * width * sum(level.shape[-1] + 2 * self._margin for level in self._right) * 4
+        )
         self._rows = max(1, volume_bytes // row_bytes)
         self._volume = self._rows_of_volume(0, height) if self._rows >= height else None
 
@@ -55,7 +71,10 @@ class Correlation:
         if self._volume is not None:
             return self._sample(self._volume, columns)
         bands = [slice(row, min(row + self._rows, height)) for row in range(0, height, self._rows)]
-        looked_up = [self._sample(self._rows_of_volume(band.start, band.stop), columns[:, band]) for band in bands]
+        looked_up = [
+            self._sample(self._rows_of_volume(band.start, band.stop), columns[:, band])
+            for band in bands
+        ]
         return torch.cat(looked_up, dim=2)
 
     @property
@@ -64,23 +83,31 @@ class Correlation:
         return 2 * self.radius + 2
 
     def _rows_of_volume(self, start: int, stop: int) -> list[Tensor]:
-        """Return the correlations of some rows at all levels, (B, rows, W, W_l + 2 margins) each, float32."""
+        """Return the correlations of some rows at all levels, (B, rows, W, W_l + 2 margins) each,
+        float32.
+        """
         scale = self._left.shape[-1] ** -0.5
         volume = []
         for right in self._right:
-            products = at_least_single(torch.matmul(self._left[:, start:stop], right[:, start:stop])) * scale
+            products = (
+                at_least_single(torch.matmul(self._left[:, start:stop], right[:, start:stop]))
+                * scale
+            )
             volume.append(functional.pad(products, (self._margin, self._margin)))
         return volume
 
     def _sample(self, volume: list[Tensor], columns: Tensor) -> Tensor:
         """Return the linear interpolation at 2 * radius + 1 columns per cell and level."""
-        offsets = torch.arange(-self.radius, self.radius + 2, device=columns.device)  # one more than is returned
+        # one more than is returned
+        offsets = torch.arange(-self.radius, self.radius + 2, device=columns.device)
         sampled = []
         for level, products in enumerate(volume):
             centre = columns / 2**level
             below = torch.floor(centre)
             share = (centre - below)[..., None]  # (B, H, W, 1)
-            index = below.clamp(self.radius - self._margin, products.shape[-1] - self._margin - self.radius - 2).long()
+            index = below.clamp(
+                self.radius - self._margin, products.shape[-1] - self._margin - self.radius - 2
+            ).long()
             index = (index + self._margin)[..., None] + offsets  # (B, H, W, 2 * radius + 2)
             cells = torch.gather(products, -1, index)
             sampled.append(torch.lerp(cells[..., :-1], cells[..., 1:], share))
@@ -88,7 +115,10 @@ class Correlation:
 
 
 class ConvGru(nn.Module):
-    """Gated recurrent unit of 3x3 convolutions; the context's share of each gate is computed once, outside."""
+    """Gated recurrent unit of 3x3 convolutions.
+
+    The context's share of each gate is computed once, outside.
+    """
 
     def __init__(self, hidden: int, width_in: int) -> None:
         super().__init__()
@@ -100,11 +130,14 @@ class ConvGru(nn.Module):
         """Return one step: h' = (1 - z) h + z q, all (B, C, H, W)."""
         for_gates, for_candidate = context
         features = torch.cat(inputs, dim=1)
-        weight = torch.cat([self.convz.weight, self.convr.weight])  # one wide convolution is faster than two
+        # one wide convolution is faster than two
+        weight = torch.cat([self.convz.weight, self.convr.weight])
         bias = torch.cat([gate.bias for gate in (self.convz, self.convr) if gate.bias is not None])
         gates = functional.conv2d(torch.cat([hidden, features], dim=1), weight, bias, padding=1)
         update, reset = torch.sigmoid(gates + for_gates).chunk(2, dim=1)
-        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)) + for_candidate)
+        candidate = torch.tanh(
+            self.convq(torch.cat([reset * hidden, features], dim=1)) + for_candidate
+        )
         return torch.lerp(hidden, candidate, update)
 
 
@@ -173,13 +206,20 @@ class UpdateBlock(nn.Module):
             hidden[1] = self.gru16(hidden[1], context[1], _halve(hidden[0]), *above)
         return hidden
 
-    def fine(self, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
+    def fine(
+        self, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor
+    ) -> list[Tensor]:
         """Update the finest level from what is seen at the present flow."""
         above = [_resize(hidden[1], hidden[0])] if self.n_levels > 1 else []
-        return [self.gru08(hidden[0], context[0], self.encoder(flow, correlation), *above), *hidden[1:]]
+        return [
+            self.gru08(hidden[0], context[0], self.encoder(flow, correlation), *above),
+            *hidden[1:],
+        ]
 
     def upsampling_weights(self, hidden: Tensor) -> Tensor:
-        """Return the weights of convex upsampling before their softmax, (B, 9 * factor**2, H, W)."""
+        """Return the weights of convex upsampling before their softmax, (B, 9 * factor**2,
+        H, W).
+        """
         weights: Tensor = 0.25 * self.mask(hidden)
         return weights
 
@@ -206,19 +246,27 @@ def walk(
         volume_bytes: memory for the correlation volume, see `Correlation`.
 
     Returns:
-        Flow in cells after each iteration, (B, 1, H, W) each, and the weights that enlarge the last one to full size, see
-        `upsample_convex`.
+        Flow in cells after each iteration, (B, 1, H, W) each, and the weights that enlarge the last
+        one to full size, see `upsample_convex`.
 
     Reading:
-        `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse ones, then all; with two levels,
-        the coarse one, then both.
+        `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse
+        ones, then all; with two levels, the coarse one, then both.
     """
-    correlation = Correlation(of_left, of_right, CORR_LEVELS, CORR_RADIUS, volume_bytes)
+    correlation = Correlation(
+        left=of_left,
+        right=of_right,
+        levels=CORR_LEVELS,
+        radius=CORR_RADIUS,
+        volume_bytes=volume_bytes,
+    )
     hidden = [state for state, _ in states]
     context = [_split(conv(features)) for conv, (_, features) in zip(gates, states, strict=True)]
     batch, _, height, width = of_left.shape
     dtype = torch.promote_types(of_left.dtype, torch.float32)
-    columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(batch, 1, height, width)
+    columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(
+        batch, 1, height, width
+    )
     flow = torch.zeros_like(columns) if initial is None else initial.to(dtype)
     flows = []
     for _ in range(iterations):
@@ -229,12 +277,19 @@ def walk(
     return flows, block.upsampling_weights(hidden[0])
 
 
-def _update(block: UpdateBlock, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
+def _update(
+    block: UpdateBlock,
+    hidden: list[Tensor],
+    context: list[Context],
+    correlation: Tensor,
+    flow: Tensor,
+) -> list[Tensor]:
     if block.config.slow_fast_gru and block.n_levels > 2:
         hidden = block.coarse(hidden, context, finest=2)
     if block.config.slow_fast_gru and block.n_levels > 1:
         hidden = block.coarse(hidden, context)
-    two_channels = torch.cat([flow, torch.zeros_like(flow)], dim=1)  # rectified: nothing moves across rows
+    # rectified: nothing moves across rows
+    two_channels = torch.cat([flow, torch.zeros_like(flow)], dim=1)
     return block.fine(block.coarse(hidden, context), context, correlation, two_channels)
 
 
@@ -255,7 +310,9 @@ def upsample_convex(flow: Tensor, weights: Tensor, factor: int) -> Tensor:
         Flow in fine pixels, (B, 1, factor * H, factor * W).
     """
     batch, _, height, width = flow.shape
-    shares = torch.softmax(at_least_single(weights).view(batch, 9, factor, factor, height, width), dim=1)
+    shares = torch.softmax(
+        at_least_single(weights).view(batch, 9, factor, factor, height, width), dim=1
+    )
     cells = functional.unfold(factor * flow, 3, padding=1).view(batch, 9, 1, 1, height, width)
     mixed = (shares * cells).sum(dim=1)  # (B, factor, factor, H, W)
     return mixed.permute(0, 3, 1, 4, 2).reshape(batch, 1, factor * height, factor * width)

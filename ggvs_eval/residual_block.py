@@ -8,11 +8,17 @@ from torch import Tensor, nn
 class ResidualBlock(nn.Module):
     """Two 3x3 convolutions with a shortcut, ReLU after each normalisation and after the sum.
 
-    Names of modules are those of the published checkpoints of RAFT-Stereo, GPS-Gaussian and MVSplat.
+    Names of modules are those of the published checkpoints of RAFT-Stereo, GPS-Gaussian and
+    MVSplat.
     """
 
     def __init__(
-        self, width_in: int, width: int, normalise: Callable[[int], nn.Module], stride: int = 1, bias: bool = True
+        self,
+        width_in: int,
+        width: int,
+        normalise: Callable[[int], nn.Module],
+        stride: int = 1,
+        bias: bool = True,
     ) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1, bias=bias)

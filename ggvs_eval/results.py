@@ -21,12 +21,29 @@ if TYPE_CHECKING:
 
 # These variables make libraries use fewer instruction sets than the processor has.
 INSTRUCTION_SETS = (
-    *("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "OPENCV_IPP", "ONEDNN_MAX_CPU_ISA"),
+    *(
+        "OPENBLAS_CORETYPE",
+        "NPY_DISABLE_CPU_FEATURES",
+        "OPENCV_CPU_DISABLE",
+        "OPENCV_IPP",
+        "ONEDNN_MAX_CPU_ISA",
+    ),
     *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
 )
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
 MOVING_NUMBERS = (  # packages whose version can
-    *("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas", "pillow", "pycolmap"),
+    *(
+        "ggvs-eval",
+        "numpy",
+        "opencv-python-headless",
+        "torch",
+        "scipy",
+        "pyrtools",
+        "av",
+        "pandas",
+        "pillow",
+        "pycolmap",
+    ),
     *("flip-evaluator", "imageio-ffmpeg", "cvvdp", "torchvision"),
 )
 TABLE_FILE = "results.parquet"
@@ -45,7 +62,10 @@ SYMPTOMS = {
 
 
 class Absence(NamedTuple):
-    """A value that a method lacks in a view, while the metric has values elsewhere; ``view`` is empty if it lacks all."""
+    """A value that a method lacks in a view, while the metric has values elsewhere.
+
+    ``view`` is empty if it lacks all.
+    """
 
     metric: str
     label: str
@@ -55,7 +75,10 @@ class Absence(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """Fault that the quick checks of `ggvs-eval doctor` found in a view's renders; ``called``: a word for it, or empty."""
+    """Fault that the quick checks of `ggvs-eval doctor` found in a view's renders.
+
+    ``called``: a word for it, or empty.
+    """
 
     label: str
     scene: str
@@ -68,12 +91,16 @@ class Fault(NamedTuple):
 
     @property
     def is_certain(self) -> bool:
-        """True if nothing else explains the frames, so that their numbers say nothing of the method."""
+        """True if nothing else explains the frames, so that their numbers say nothing of the
+        method.
+        """
         return self.verdict == "certain"
 
     @property
     def words(self) -> str:
-        """The fault as it follows the method's name, e.g. ``shows every frame one instant late``."""
+        """The fault as it follows the method's name, e.g. ``shows every frame one instant
+        late``.
+        """
         if self.called:
             lag = re.search(r"t[+-](\d+)", self.measured)
             instants = f"{lag[1]} instants" if lag and lag[1] != "1" else "one instant"
@@ -84,9 +111,16 @@ class Fault(NamedTuple):
 
     @property
     def remedy(self) -> str:
-        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``; empty if none is known."""
+        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``.
+
+        Empty if none is known.
+        """
         first = re.match(r"[^:;?]+\??", self.advice)
-        return f"{first[0][0].upper()}{first[0][1:]}{'' if first[0].endswith('?') else '.'}" if first else ""
+        return (
+            f"{first[0][0].upper()}{first[0][1:]}{'' if first[0].endswith('?') else '.'}"
+            if first
+            else ""
+        )
 
 
 @dataclass(frozen=True)
@@ -94,14 +128,16 @@ class Results:
     """Every value of one evaluation, with its provenance.
 
     Attributes:
-        table: one row per value with the columns `COLUMNS`; ``view`` is None if a value belongs to the whole rig (SDV),
-            ``frame`` is -1 if it belongs to the whole sequence (STED, SDT).
-        provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
-            view), ``partial`` (method -> what its row is based on, if not everything), ``devices`` (method and view ->
-            where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
-            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``absent`` (values that some methods or views lack,
-            see `Absence`), ``faults`` (of renders, see `Fault`), ``versions`` (package -> versions that values were made under),
-            ``machine`` (see `describe_machine`).
+        table: one row per value with the columns `COLUMNS`; ``view`` is None if a value belongs to
+            the whole rig (SDV), ``frame`` is -1 if it belongs to the whole sequence (STED, SDT).
+        provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera),
+            ``renders`` (digest per method and view), ``partial`` (method -> what its row is based
+            on, if not everything), ``devices`` (method and view -> where its networks computed,
+            there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``absent`` (values that
+            some methods or views lack, see `Absence`), ``faults`` (of renders, see `Fault`),
+            ``versions`` (package -> versions that values were made under), ``machine`` (see
+            `describe_machine`).
         not_computed: metric -> reason, for what was asked for and no method has in any view.
         place: folder that they were read from; empty for those of a calculation.
     """
@@ -114,13 +150,20 @@ class Results:
     def __post_init__(self) -> None:
         missing = [name for name in COLUMNS if name not in self.table.columns]
         if missing or "protocol_sha256" not in self.provenance:
-            raise ResultsError(f"results lack {', '.join(missing) or 'provenance.protocol_sha256'}; score the run again")
+            raise ResultsError(
+                f"results lack {', '.join(missing) or 'provenance.protocol_sha256'}; score the run "
+                f"again"
+            )
 
     def write(self, folder: Path) -> None:
         """Write the table as Parquet and the provenance as JSON, each whole or not at all."""
         with atomic_file(folder / TABLE_FILE) as temporary:
             self.table.to_parquet(temporary, index=False)
-        text = json.dumps({"provenance": self.provenance, "not_computed": self.not_computed}, indent=1, sort_keys=True)
+        text = json.dumps(
+            {"provenance": self.provenance, "not_computed": self.not_computed},
+            indent=1,
+            sort_keys=True,
+        )
         write_text(folder / PROVENANCE_FILE, text)
 
     @classmethod
@@ -137,7 +180,10 @@ class Results:
             sidecar = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
             return cls(table, sidecar["provenance"], sidecar["not_computed"], str(folder))
         except (OSError, ValueError, KeyError) as error:
-            raise ResultsError(f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval score`") from None
+            raise ResultsError(
+                f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval "
+                f"score`"
+            ) from None
 
     @property
     def scenes(self) -> tuple[str, ...]:
@@ -147,7 +193,10 @@ class Results:
     @property
     def row_labels(self) -> list[str]:
         """Label of the method of each row of the table."""
-        return [label_of(*names) for names in zip(self.table["method"], self.table["variant"], strict=True)]
+        return [
+            label_of(*names)
+            for names in zip(self.table["method"], self.table["variant"], strict=True)
+        ]
 
     @property
     def protocol_sha256(self) -> str:
@@ -199,16 +248,22 @@ class Results:
 
     @property
     def spoilt(self) -> dict[str, str]:
-        """Methods with a certain fault in their renders -> it, as it follows their name; they are compared with no other."""
+        """Methods with a certain fault in their renders -> it, as it follows their name.
+
+        They are compared with no other.
+        """
         return {fault.label: fault.words for fault in reversed(self.faults) if fault.is_certain}
 
     @property
     def set_aside(self) -> dict[str, str]:
-        """Methods that are not ranked -> why, as it follows their name: partial ones, and those with a certain fault."""
+        """Methods that are not ranked -> why, as it follows their name: partial ones, and those
+        with a certain fault.
+        """
         return {label: f"is {mark}" for label, mark in self.partial.items()} | self.spoilt
 
     def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
-        """Return each fault of a method, with the views that have it, the measurement in the first one, and what to do.
+        """Return each fault of a method, with the views that have it, the measurement in the first
+        one, and what to do.
 
         Args:
             names: label -> name to show, where these differ.
@@ -217,26 +272,40 @@ class Results:
         for fault in self.faults:
             views.setdefault((fault.label, fault.words), []).append(fault)
         return [
-            f"{(names or {}).get(label, label)} {words}{', so it is not ranked' if faults[0].is_certain else ''} "
-            f"({faults[0].verdict}; {', '.join(fault.view for fault in faults)}: {faults[0].measured}). "
+            f"{(names or {}).get(label, label)} "
+            f"{words}{', so it is not ranked' if faults[0].is_certain else ''} "
+            f"({faults[0].verdict}; {', '.join(fault.view for fault in faults)}: "
+            f"{faults[0].measured}). "
             f"{faults[0].remedy}".strip()
             for (label, words), faults in views.items()
         ]
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:
-        """Return the reason why a method has no value of a metric, in one view or in any; empty if none is recorded."""
-        absences = (absence for absence in self.absences if (absence.metric, absence.label) == (metric, label))
+        """Return the reason why a method has no value of a metric, in one view or in any.
+
+        Empty if none is recorded.
+        """
+        absences = (
+            absence
+            for absence in self.absences
+            if (absence.metric, absence.label) == (metric, label)
+        )
         reasons = (absence.reason for absence in absences if not view or absence.view in ("", view))
         return next(reasons, self.not_computed.get(metric, ""))
 
     def summary(self) -> "pd.DataFrame":
-        """Return the mean of every metric per dataset, method and variant: over frames, then views, then scenes.
+        """Return the mean of every metric per dataset, method and variant: over frames, then views,
+        then scenes.
 
         Returns:
-            Rows (dataset, method, variant), one column per metric, in the order in which they were first measured.
+            Rows (dataset, method, variant), one column per metric, in the order in which they were
+            first measured.
 
         Examples:
-            >>> rows = [("demo", "room", "ours", "", "cam00", frame, "PSNR", value) for frame, value in enumerate((30.0, 32.0))]
+            >>> rows = [
+            ...     ("demo", "room", "ours", "", "cam00", frame, "PSNR", value)
+            ...     for frame, value in enumerate((30.0, 32.0))
+            ... ]
             >>> results = Results(make_table(rows), {"protocol_sha256": "0123"})
             >>> float(results.summary()["PSNR"].iloc[0])
             31.0
@@ -248,13 +317,25 @@ class Results:
         return per_dataset.unstack("metric", sort=False)
 
     def per_view(self, metric: str) -> "pd.DataFrame":
-        """Return the mean over frames of one metric: rows (method, variant), one column per view."""
+        """Return the mean over frames of one metric: rows (method, variant), one column per
+        view.
+        """
         rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]
-        return rows.groupby(["method", "variant", "view"], sort=False)["value"].mean().unstack("view", sort=False)
+        return (
+            rows.groupby(["method", "variant", "view"], sort=False)["value"]
+            .mean()
+            .unstack("view", sort=False)
+        )
 
     def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
-        """Return one metric along time in one view: rows are frames, one column per (method, variant)."""
-        rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
+        """Return one metric along time in one view: rows are frames, one column per (method,
+        variant).
+        """
+        rows = self.table[
+            (self.table["metric"] == metric)
+            & (self.table["view"] == view)
+            & (self.table["frame"] >= 0)
+        ]
         means = rows.groupby(["frame", "method", "variant"], sort=False)["value"].mean().dropna()
         return means.unstack(["method", "variant"], sort=False)
 
@@ -264,11 +345,15 @@ def label_of(method: str, variant: str) -> str:
     return f"{method}+{variant}" if variant else method
 
 
-RETRAINED = " (retrained, {})"  # behind the title of a method with weights that ship, in place of its authors'; of which network
+# behind the title of a method with weights that ship, in place of its authors'; of which network
+RETRAINED = " (retrained, {})"
 
 
 def reduced_mark(title: str) -> str:
-    """Return what a title says of a reduced model, e.g. `` (retrained, compact)``; empty of other methods."""
+    """Return what a title says of a reduced model, e.g. `` (retrained, compact)``.
+
+    Empty of other methods.
+    """
     match = re.search(r" \(retrained, [^)]*\)", title)
     return match[0] if match else ""
 
@@ -291,7 +376,11 @@ def without_option(label: str, option: str) -> str:
 
 def without_labels(results: Results, labels: Collection[str]) -> Results:
     """Return the results without some methods."""
-    return replace(results, table=results.table[[label not in labels for label in results.row_labels]]) if labels else results
+    return (
+        replace(results, table=results.table[[label not in labels for label in results.row_labels]])
+        if labels
+        else results
+    )
 
 
 def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
@@ -312,9 +401,12 @@ def installed_versions() -> dict[str, str]:
 
 
 def describe_machine() -> dict[str, str]:
-    """The processor, and the instruction sets by which libraries choose their code; results may depend on them in places.
+    """The processor, and the instruction sets by which libraries choose their code.
 
-    torch chooses by the same features as NumPy and is not asked: its import takes a second and 190 MB that most runs do without.
+    Results may depend on them in places.
+
+    torch chooses by the same features as NumPy and is not asked: its import takes a second and 190
+    MB that most runs do without.
     """
     import cv2
 

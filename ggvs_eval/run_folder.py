@@ -3,24 +3,25 @@
 ::
 
     RUN/protocol.toml  capture.json              what was asked for, of which capture
-    RUN/truth/<camera>/<frame>.png               captured frames of the cameras that take part, at synthesis size
-    RUN/depth/<key>/<frame>.*                    depth store of the source cameras; depth.json says how it was found
-    RUN/depth_page/index.html                    the depth in pictures
-    RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
-    RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
-    RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion of those frames, of methods with diagnostics
+    RUN/truth/<camera>/<frame>.png               captured frames of the cameras that take part, at
+    synthesis size RUN/depth/<key>/<frame>.*                    depth store of the source cameras;
+    depth.json says how it was found RUN/depth_page/index.html                    the depth in
+    pictures RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh,
+    where asked for RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json:
+    identity, versions, seconds per stage RUN/renders/<method>/<view>/inside/<map>/    depth,
+    weights, coverage, motion of those frames, of methods with diagnostics
     RUN/renders/<method>@screen/<view>/          links to what a viewer sees at each instant
-    RUN/path/truth/<pose>.png                    a camera path at one instant: truth if there is one, poses in path.json
-    RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
-    RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
-    RUN/path_scores/<method>/job.json            view consistency of every method along the path
-    RUN/disoccluded/<view>/<frame>.png           white where no source camera sees the view
-    RUN/ceilings/<view>/job.json                 what perfect renderings of the view would score
-    RUN/live_depth.json  stream.json             seconds of live depth; what each method has on the screen, where asked for
-    RUN/scores/<view>/job.json                   values of every method in one view
-    RUN/results.parquet  results.json            every value in one table, and where it comes from
-    RUN/report/index.html                        the page
-    job.json                                     beside all that is made once: what it was made from, and its files
+    RUN/path/truth/<pose>.png                    a camera path at one instant: truth if there is
+    one, poses in path.json RUN/path/<method>/<pose>.png                 the same path synthesised,
+    for epipolar plane images RUN/path_depth/<pose>.npy                    depth along the path, the
+    same for all methods RUN/path_scores/<method>/job.json            view consistency of every
+    method along the path RUN/disoccluded/<view>/<frame>.png           white where no source camera
+    sees the view RUN/ceilings/<view>/job.json                 what perfect renderings of the view
+    would score RUN/live_depth.json  stream.json             seconds of live depth; what each method
+    has on the screen, where asked for RUN/scores/<view>/job.json                   values of every
+    method in one view RUN/results.parquet  results.json            every value in one table, and
+    where it comes from RUN/report/index.html                        the page job.json
+    beside all that is made once: what it was made from, and its files
 """
 
 import json
@@ -68,7 +69,9 @@ class RunFolder:
 
     @property
     def has_live_depth(self) -> bool:
-        """True if depth is found by a matcher that keeps up with cameras: `live`, or IterMVS alone on a GPU."""
+        """True if depth is found by a matcher that keeps up with cameras: `live`, or IterMVS alone
+        on a GPU.
+        """
         record = read_json(self.depth_record) if self.depth_record.is_file() else {}
         matcher = record.get("matcher", "")
         is_network_on_gpu = matcher.partition(":")[0] == "itermvs" and "device" in record
@@ -76,12 +79,18 @@ class RunFolder:
 
     @property
     def stream_record(self) -> Path:
-        """File of what each method has on the screen while frames keep coming; only where the protocol asks for it."""
+        """File of what each method has on the screen while frames keep coming.
+
+        Only where the protocol asks for it.
+        """
         return self.root / "stream.json"
 
     @property
     def check_record(self) -> Path:
-        """File of what `ggvs-eval check` found in the capture, as it writes it; only if that was asked."""
+        """File of what `ggvs-eval check` found in the capture, as it writes it.
+
+        Only if that was asked.
+        """
         return self.root / "check.json"
 
     @property
@@ -154,23 +163,37 @@ class RunFolder:
         if not self.root.exists():
             raise ResultsError(no_such_path(self.root, "a run folder"))
         if not self.protocol_file.is_file():
-            raise ResultsError(f"{self.root}: wanted a run folder with protocol.toml, got none; create one by `ggvs-eval run`")
+            raise ResultsError(
+                f"{self.root}: wanted a run folder with protocol.toml, got none; create one by "
+                f"`ggvs-eval run`"
+            )
 
     def capture_path(self) -> Path:
-        """Return the capture's folder: where it lay when the run was prepared, or where it moved together with the run."""
+        """Return the capture's folder: where it lay when the run was prepared, or where it moved
+        together with the run.
+        """
         record = self.capture_record()
-        place = record.get("place", {})  # a run of an earlier version knows only the path as it was given
-        candidates = [Path(place["absolute"]), (self.root / place["from_run"]).resolve()] if place else []
+        # a run of an earlier version knows only the path as it was given
+        place = record.get("place", {})
+        candidates = (
+            [Path(place["absolute"]), (self.root / place["from_run"]).resolve()] if place else []
+        )
         return next((path for path in candidates if path.exists()), Path(record["path"]))
 
     def labels(self) -> list[str]:
-        """Return the methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
+        """Return the methods that have renders here, in the order in which `ggvs-eval render` was
+        asked for them.
+        """
         folder = self.root / "renders"
         names = sorted(item.name for item in folder.iterdir()) if folder.is_dir() else []
-        content = [name for name in names if not name.startswith(".") and not name.endswith(ON_SCREEN)]
+        content = [
+            name for name in names if not name.startswith(".") and not name.endswith(ON_SCREEN)
+        ]
         order_file = self.root / "methods.json"
         order = read_json(order_file)["labels"] if order_file.is_file() else []
-        return [label for label in order if label in content] + [label for label in content if label not in order]
+        return [label for label in order if label in content] + [
+            label for label in content if label not in order
+        ]
 
     @property
     def shown_names(self) -> dict[str, str]:
@@ -190,7 +213,9 @@ def frame_path(folder: Path, index: int) -> Path:
 
 def frame_names(numbers: Iterable[int], suffix: str = ".png") -> tuple[str, ...]:
     """Return the names of the files of some frames, each once and in the order of time."""
-    return tuple(frame_path(Path(), number).with_suffix(suffix).name for number in sorted(set(numbers)))
+    return tuple(
+        frame_path(Path(), number).with_suffix(suffix).name for number in sorted(set(numbers))
+    )
 
 
 def frame_numbers(names: Iterable[str]) -> list[int]:
@@ -199,7 +224,9 @@ def frame_numbers(names: Iterable[str]) -> list[int]:
 
 
 def diagnostics_path(folder: Path, name: str, index: int) -> Path:
-    """Return the path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
+    """Return the path of the picture of something that a method decided on the way to a frame, in
+    its folder of frames.
+    """
     return frame_path(folder / DIAGNOSTICS / name, index)
 
 
@@ -218,7 +245,9 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
     listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
     if listed:
         root = next(iter(folders.values())).parents[1]
-        raise RenderError(f"{root}: wanted all frames, got gaps: {'; '.join(listed)}; run `ggvs-eval render`")
+        raise RenderError(
+            f"{root}: wanted all frames, got gaps: {'; '.join(listed)}; run `ggvs-eval render`"
+        )
 
 
 def as_ranges(indices: list[int]) -> str:
@@ -247,6 +276,10 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ResultsError(f"{path}: wanted this file, got none; run the step that writes it") from None
+        raise ResultsError(
+            f"{path}: wanted this file, got none; run the step that writes it"
+        ) from None
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: wanted a readable file, got: {error}; move it away and run the step again") from None
+        raise ResultsError(
+            f"{path}: wanted a readable file, got: {error}; move it away and run the step again"
+        ) from None

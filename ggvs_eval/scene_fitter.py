@@ -1,8 +1,9 @@
-"""The interface of methods that are fitted to one capture: they see the footage of training cameras and leave a scene behind.
+"""The interface of methods that are fitted to one capture: they see the footage of training cameras
+and leave a scene behind.
 
-Where a `ggvs_eval.method.Method` is shown the sources of a target instant by instant, a `SceneFitter` is given time: it
-optimises a scene over the footage of some cameras, once per fold of held-out ones, and the scene renders any view of any of its
-instants.
+Where a `ggvs_eval.method.Method` is shown the sources of a target instant by instant, a
+`SceneFitter` is given time: it optimises a scene over the footage of some cameras, once per fold of
+held-out ones, and the scene renders any view of any of its instants.
 """
 
 from abc import ABC, abstractmethod
@@ -24,10 +25,11 @@ Progress = Callable[[int, int], None]  # steps that are done, steps in all
 
 @dataclass(frozen=True)
 class Footage:
-    """All that a fitter is shown: the training cameras at some instants, and nothing of any other camera.
+    """All that a fitter is shown: the training cameras at some instants, and nothing of any other
+    camera.
 
-    It holds the frames of its own cameras alone, so that what is held out cannot be asked for; nor has any other camera taken
-    part in the depth.
+    It holds the frames of its own cameras alone, so that what is held out cannot be asked for; nor
+    has any other camera taken part in the depth.
 
     Attributes:
         cameras: training cameras at synthesis size, in the order of the capture.
@@ -56,7 +58,9 @@ class Footage:
     @property
     def times(self) -> tuple[float, ...]:
         """Seconds from the first instant to each of `indices`."""
-        return tuple((index - self.indices.start) / self.fps if self.fps else 0.0 for index in self.indices)
+        return tuple(
+            (index - self.indices.start) / self.fps if self.fps else 0.0 for index in self.indices
+        )
 
     def image(self, view: str, index: int) -> Image8:
         """Return the image of a training camera, RGB uint8, (H, W, 3).
@@ -73,11 +77,16 @@ class Footage:
         return next(iter(self.frames[view].frames(index, index + 1)))
 
     def depth(self, view: str, index: int) -> Map:
-        """Return the estimated z-depth of a training camera, (H, W), world units, 0 where unknown; errors as of `depth_map`."""
+        """Return the estimated z-depth of a training camera, (H, W), world units, 0 where unknown.
+
+        Errors as of `depth_map`.
+        """
         return self.depth_map(view, index).depth
 
     def depth_map(self, view: str, index: int) -> DepthMap:
-        """Return the estimated depth with its confidence; only at the instants that `SceneFitter.depth_indices` has named.
+        """Return the estimated depth with its confidence.
+
+        Only at the instants that `SceneFitter.depth_indices` has named.
 
         Raises:
             RenderError: a camera or an instant that does not belong to the footage.
@@ -88,9 +97,14 @@ class Footage:
 
     def _require(self, view: str, index: int) -> None:
         if view not in self.views:
-            raise RenderError(f"footage: {view!r} is not a training camera; there are {', '.join(self.views)}")
+            raise RenderError(
+                f"footage: {view!r} is not a training camera; there are {', '.join(self.views)}"
+            )
         if index not in self.indices:
-            raise RenderError(f"footage: wanted instants {self.indices.start}..{self.indices.stop - 1}, got {index}")
+            raise RenderError(
+                f"footage: wanted instants {self.indices.start}..{self.indices.stop - 1}, got "
+                f"{index}"
+            )
 
 
 class FittedScene(ABC):
@@ -98,7 +112,10 @@ class FittedScene(ABC):
 
     @abstractmethod
     def render(self, index: int, target: Camera) -> Rendering:
-        """Render one instant of the footage from a camera that it may never have seen; equal arguments give equal images."""
+        """Render one instant of the footage from a camera that it may never have seen.
+
+        Equal arguments give equal images.
+        """
 
     @property
     @abstractmethod
@@ -107,19 +124,24 @@ class FittedScene(ABC):
 
 
 class SceneFitter(ABC):
-    """A method that is fitted to a capture before it renders; one object with its options, which its constructor takes.
+    """A method that is fitted to a capture before it renders.
+
+    One object with its options, which its constructor takes.
 
     Attributes:
         name: for messages.
-        look_ahead: what an instant of the scene depends on: on itself alone (``none``), on instants before it too (``past``), or
-            on the whole ``sequence``.
+        look_ahead: what an instant of the scene depends on: on itself alone (``none``), on instants
+            before it too (``past``), or on the whole ``sequence``.
     """
 
     name: str
     look_ahead: LookAhead
 
     def depth_indices(self, indices: range) -> Sequence[int]:
-        """At which instants of the footage it wants depth; all, unless it says otherwise. What is not asked for costs no time."""
+        """At which instants of the footage it wants depth; all, unless it says otherwise.
+
+        What is not asked for costs no time.
+        """
         return indices
 
     @abstractmethod
@@ -128,9 +150,11 @@ class SceneFitter(ABC):
 
         Args:
             footage: what it may see.
-            folder: exists. A fit that was killed is called again with what it has left there, and continues from it. When this
-                returns the scene is whole: the caller notes that, no marker is needed.
-            progress: to be called now and then with (steps done, steps in all), counted from the fit's very beginning.
+            folder: exists. A fit that was killed is called again with what it has left there, and
+                continues from it. When this returns the scene is whole: the caller notes that, no
+                marker is needed.
+            progress: to be called now and then with (steps done, steps in all), counted from the
+                fit's very beginning.
         """
 
     @abstractmethod

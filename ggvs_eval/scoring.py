@@ -1,6 +1,8 @@
-"""Doors of scoring: questions that are asked of every method's frames, and what is scored besides the frames of test views.
+"""Doors of scoring: questions that are asked of every method's frames, and what is scored besides
+the frames of test views.
 
-Both are listed in `ggvs_eval.built_in` and loaded by name, so that `score` works without any of them.
+Both are listed in `ggvs_eval.built_in` and loaded by name, so that `score` works without any of
+them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -20,7 +22,8 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.tasks.task import Task
 
 FrameReader = Callable[[int], Image8]  # frame number -> (H, W, 3) uint8 RGB
-FrameCheck = Callable[[FrameReader, range], list[Finding]]  # of rendered frames with these numbers, in a row
+# of rendered frames with these numbers, in a row
+FrameCheck = Callable[[FrameReader, range], list[Finding]]
 WHOLE = -1  # in the place of a frame's number
 Value = tuple[str, int, float]  # metric, frame, value
 Row = tuple[str, int, str, float]  # view, frame (-1: of no single one), metric, value
@@ -41,13 +44,23 @@ class ScoredMethod:
 
 
 class Question(Door):
-    """A question that scoring asks of every method's frames; its findings stand next to the scores."""
+    """A question that scoring asks of every method's frames.
+
+    Its findings stand next to the scores.
+    """
 
     def of_view(self, view: str, truth: FrameReader, numbers: range) -> FrameCheck:
-        """Return what checks a method's frames of a view; work on the captured ones, which have these numbers, is shared."""
+        """Return what checks a method's frames of a view.
 
-    def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
-        """Return the findings of a measured method by view: those of all questions so far, with some more or some fewer."""
+        Work on the captured ones, which have these numbers, is shared.
+        """
+
+    def of_method(
+        self, method: ScoredMethod, findings: Mapping[str, list[Finding]]
+    ) -> dict[str, list[Finding]]:
+        """Return the findings of a measured method by view: those of all questions so far, with
+        some more or some fewer.
+        """
 
 
 class OfScores:
@@ -77,11 +90,13 @@ class ScoreRequest:
 
 @dataclass(frozen=True)
 class ScorePart:
-    """Something that is scored besides the frames of test views: a camera path, noise ceilings, a viewer's screen.
+    """Something that is scored besides the frames of test views: a camera path, noise ceilings, a
+    viewer's screen.
 
     Attributes:
         tasks: measure it.
-        rows: label -> values, and metric -> why there are none, once the tasks are done; None if it has no rows.
+        rows: label -> values, and metric -> why there are none, once the tasks are done; None if it
+            has no rows.
         references: rows of the report that belong to no method, once the tasks are done.
         write: writes further records into the run folder.
         partial: label of a row that it adds to the methods -> view -> its frames, which are there.
@@ -122,4 +137,6 @@ class MetricScores:
 
 
 QUESTIONS: Registry[Question] = Registry("questions", built_in.QUESTIONS)
-SCORE_PARTS: Registry[Callable[[ScoreRequest], ScorePart]] = Registry("scores", built_in.SCORE_PARTS)
+SCORE_PARTS: Registry[Callable[[ScoreRequest], ScorePart]] = Registry(
+    "scores", built_in.SCORE_PARTS
+)

@@ -1,4 +1,5 @@
-"""A process of its own for code that may crash, hang, write wherever it likes, or disturb whoever loads it.
+"""A process of its own for code that may crash, hang, write wherever it likes, or disturb whoever
+loads it.
 
 Libraries that read files of strangers run in one, and metrics of plug-ins.
 """
@@ -20,18 +21,24 @@ LONGEST_LOG = 1 << 20  # bytes of what a library writes about one file
 
 
 class SideProcessError(Exception):
-    """A request was refused, or the process did not survive it; the text is the reason, one line."""
+    """A request was refused, or the process did not survive it.
+
+    The text is the reason, one line.
+    """
 
 
 class SideProcess:
-    """Has requests answered by a script in a process that starts with the first one and is kept for the next ones.
+    """Has requests answered by a script in a process that starts with the first one and is kept for
+    the next ones.
 
-    To start Python and load a library takes half a second, to read a file milliseconds. The process ends when nothing is asked
-    for a while, when this one ends, and when a request takes too long; the next request starts another.
+    To start Python and load a library takes half a second, to read a file milliseconds. The process
+    ends when nothing is asked for a while, when this one ends, and when a request takes too long;
+    the next request starts another.
 
     Args:
         script: run by its file, so that it imports no more than it needs; it calls `serve`.
-        quiet: what the process prints is not shown; the last line of its errors is the reason why it ended.
+        quiet: what the process prints is not shown; the last line of its errors is the reason why
+            it ended.
     """
 
     def __init__(self, script: Path, quiet: bool = True) -> None:
@@ -52,8 +59,10 @@ class SideProcess:
         """
         with self._lock:
             try:
-                answer = self._answer(request, timeout_s) or self._answer(request, timeout_s)  # an idle one may just have ended
-            except BaseException:  # after Ctrl-C, too, the late answer would be taken for that of the next request
+                # an idle one may just have ended
+                answer = self._answer(request, timeout_s) or self._answer(request, timeout_s)
+            # after Ctrl-C, too, the late answer would be taken for that of the next request
+            except BaseException:
                 self.end()
                 raise
         if not answer:
@@ -73,7 +82,10 @@ class SideProcess:
             self._log.close()
 
     def _answer(self, request: Any, timeout_s: float | None) -> tuple[str, Any] | None:
-        """Return a refusal or the answer; None if the process had ended, or did so without being at fault."""
+        """Return a refusal or the answer.
+
+        None if the process had ended, or did so without being at fault.
+        """
         child = self._started()
         assert child.stdin is not None
         assert child.stdout is not None
@@ -92,13 +104,23 @@ class SideProcess:
         except EOFError:
             if (status := child.wait()) == 0:
                 return None
-            log = os.pread(self._log.fileno(), LONGEST_LOG, log_start).decode("utf-8", "replace").strip() if self._log else ""
+            log = (
+                os.pread(self._log.fileno(), LONGEST_LOG, log_start)
+                .decode("utf-8", "replace")
+                .strip()
+                if self._log
+                else ""
+            )
             ending = f"signal {-status}" if status < 0 else f"status {status}"
-            raise SideProcessError(log.splitlines()[-1] if log else f"its process ended with {ending}") from None
+            raise SideProcessError(
+                log.splitlines()[-1] if log else f"its process ended with {ending}"
+            ) from None
         return answer
 
     def _started(self) -> "subprocess.Popen[bytes]":
-        """Return the process; a new one where there is none, it has ended, or it is of the process that this was forked from."""
+        """Return the process; a new one where there is none, it has ended, or it is of the process
+        that this was forked from.
+        """
         if self._child is None or self._parent_pid != os.getpid() or self._child.poll() is not None:
             self.end()
             self._log = tempfile.TemporaryFile() if self._quiet else None  # noqa: SIM115, closed by `end`
@@ -114,7 +136,8 @@ class SideProcess:
 
 
 def serve(read: Callable[[Any], Any], unfinished: Sized = (), prints: bool = False) -> None:
-    """Answer the requests of a `SideProcess` until there are none: what the script of such a process calls.
+    """Answer the requests of a `SideProcess` until there are none: what the script of such a
+    process calls.
 
     Args:
         read: answers a request; what it raises is reported as a refusal.
@@ -134,7 +157,8 @@ def serve(read: Callable[[Any], Any], unfinished: Sized = (), prints: bool = Fal
             answer = "", read(request)
         except Exception as error:
             answer = _reason(error), None
-        if os.getpid() != process:  # a copy that the request has made of this process; its answer would be the next one's
+        # a copy that the request has made of this process; its answer would be the next one's
+        if os.getpid() != process:
             os._exit(0)
         try:
             pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)

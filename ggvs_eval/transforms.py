@@ -125,14 +125,21 @@ def scaled(values: Values, size: Size) -> Transform:
 
 
 def shifted(values: Values, _size: Size) -> Transform:
-    """Move the picture to the right and downwards; by whole pixels, which loses nothing, where a small error allows it."""
+    """Move the picture to the right and downwards.
+
+    By whole pixels, which loses nothing, where a small error allows it.
+    """
     shift_px = np.array([values["shift_x_px"], values["shift_y_px"]])
     error_px = values.get("shift_x_px_error", 0)
     is_whole = np.abs(shift_px - np.rint(shift_px)).max() <= error_px <= LARGEST_ERROR_PX
     shift_px = np.rint(shift_px) if is_whole else shift_px
     x, y = -np.round(shift_px, 2)
     transform = _resampling(f"moved by ({x:+g}, {y:+g}) px", np.ones(2), shift_px, shift_px)
-    return replace(transform, is_exact=True, border_px=int(np.abs(shift_px).max())) if is_whole else transform
+    return (
+        replace(transform, is_exact=True, border_px=int(np.abs(shift_px).max()))
+        if is_whole
+        else transform
+    )
 
 
 def _resampling(words: str, scale: Pair, offset_px: Pair, outside_px: Pair) -> Transform:
@@ -148,7 +155,9 @@ def _resampling(words: str, scale: Pair, offset_px: Pair, outside_px: Pair) -> T
     )
 
 
-def _interpolated(image: Image8, scale: Pair, offset_px: Pair, interpolation: int = cv2.INTER_LANCZOS4) -> Image8:
+def _interpolated(
+    image: Image8, scale: Pair, offset_px: Pair, interpolation: int = cv2.INTER_LANCZOS4
+) -> Image8:
     return round_levels(resampled(image.astype(np.float32), scale, offset_px, interpolation))
 
 

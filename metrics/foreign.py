@@ -1,7 +1,9 @@
-"""Metrics of plug-ins: each is measured in a process of its own, which gets copies of the frames and gives back numbers.
+"""Metrics of plug-ins: each is measured in a process of its own, which gets copies of the frames
+and gives back numbers.
 
-So it cannot write into what others are measured on, and where it ends its process that costs its own values alone. A process
-takes 0.4 s to start, once for all views that a worker measures; a frame of 1352 x 1014 pixels takes 8 ms to get there.
+So it cannot write into what others are measured on, and where it ends its process that costs its
+own values alone. A process takes 0.4 s to start, once for all views that a worker measures; a frame
+of 1352 x 1014 pixels takes 8 ms to get there.
 """
 
 from collections import defaultdict
@@ -16,18 +18,28 @@ from typing import Any
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import GgvsError, MetricError
-from ggvs_eval.metrics.metric import ColourMap, MetricOptions, Scorer, TableMetric, TruthFrame, Value
+from ggvs_eval.metrics.metric import (
+    ColourMap,
+    MetricOptions,
+    Scorer,
+    TableMetric,
+    TruthFrame,
+    Value,
+)
 from ggvs_eval.metrics.registry import METRICS, scorer_factory
 from ggvs_eval.plugins import foreign
 from ggvs_eval.side_process import SideProcess, serve
 
 LONGEST_ANSWER_S = 600.0  # for a frame, or for the last of a view
-PROCESSES: dict[str, SideProcess] = defaultdict(partial(SideProcess, Path(__file__), quiet=False))  # by metrics
+# by metrics
+PROCESSES: dict[str, SideProcess] = defaultdict(partial(SideProcess, Path(__file__), quiet=False))
 _SCORERS: dict[int, Scorer] = {}  # in such a process
 _NUMBERS = count()  # of scorers
 
 
-def foreign_values(names: Sequence[str], *arguments: Any, scoring: tuple[Any, ...] = ()) -> list[Any]:
+def foreign_values(
+    names: Sequence[str], *arguments: Any, scoring: tuple[Any, ...] = ()
+) -> list[Any]:
     """Have a plug-in's metric measured in its process.
 
     Args:
@@ -36,11 +48,14 @@ def foreign_values(names: Sequence[str], *arguments: Any, scoring: tuple[Any, ..
         scoring: which scorer is to measure a frame, and which frame; see `_score`.
 
     Raises:
-        MetricError: it failed, ended its process, took over ten minutes, or gave no numbers of its own.
+        MetricError: it failed, ended its process, took over ten minutes, or gave no numbers of its
+            own.
     """
     failure = _failure(names)
     with foreign(failure, MetricError):
-        values: list[Any] | str = PROCESSES[failure].ask((tuple(METRICS.origins(names)), arguments, scoring), LONGEST_ANSWER_S)
+        values: list[Any] | str = PROCESSES[failure].ask(
+            (tuple(METRICS.origins(names)), arguments, scoring), LONGEST_ANSWER_S
+        )
     if isinstance(values, str):
         raise MetricError(values)
     return values
@@ -49,11 +64,13 @@ def foreign_values(names: Sequence[str], *arguments: Any, scoring: tuple[Any, ..
 class ForeignScorer:
     """A scorer of a plug-in's metrics.
 
-    Where it ends its process, the values of all renderings that it was measuring are lost, and where it looks at single frames
-    alone those of one rendering.
+    Where it ends its process, the values of all renderings that it was measuring are lost, and
+    where it looks at single frames alone those of one rendering.
     """
 
-    def __init__(self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None
+    ) -> None:
         self.names = names
         self._scoring = next(_NUMBERS), options, colour_map
         self._n_frames = 0
@@ -72,7 +89,9 @@ class ForeignScorer:
 
 
 def _failure(names: Sequence[str]) -> str:
-    return ", ".join(f"{origin}: metric {name} failed" for name, origin in METRICS.origins(names).items())
+    return ", ".join(
+        f"{origin}: metric {name} failed" for name, origin in METRICS.origins(names).items()
+    )
 
 
 def _measure(request: tuple[Sequence[str], Sequence[Any], tuple[Any, ...]]) -> list[Any] | str:
@@ -92,7 +111,9 @@ def _measure(request: tuple[Sequence[str], Sequence[Any], tuple[Any, ...]]) -> l
         return str(error)
 
 
-def _checked(place: str | None, frame: int | None, value: Any) -> tuple[str | None, int | None, float]:
+def _checked(
+    place: str | None, frame: int | None, value: Any
+) -> tuple[str | None, int | None, float]:
     if place in METRICS.shipped:
         raise ValueError(f"wanted values of its own, got one of {place}")
     if not isinstance(value, Real):
@@ -123,7 +144,9 @@ def _score(
         _SCORERS[number] = scorer
     else:
         values = scorer.finish()
-    return [(name, None if at is None else range(n_frames)[at], value) for name, at, value in values]
+    return [
+        (name, None if at is None else range(n_frames)[at], value) for name, at, value in values
+    ]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Input validation shared by all metrics: checks of the two images, and of the number computed from them."""
+"""Input validation shared by all metrics: checks of the two images, and of the number computed from
+them.
+"""
 
 from typing import Any
 
@@ -21,17 +23,26 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
         rendered: (H, W, 3), or (T, H, W, 3) with ``ndim=4``; uint8 in 0..255 or float in [0, 1].
     """
     if rendered.shape != truth.shape:
-        raise MetricError(f"rendered is {rendered.shape}, truth is {truth.shape}; resize or render again, metrics never resample")
+        raise MetricError(
+            f"rendered is {rendered.shape}, truth is {truth.shape}; resize or render again, "
+            f"metrics never resample"
+        )
     if rendered.ndim != ndim or rendered.shape[-1] != 3 or 0 in rendered.shape:
         expected_shape = "(height, width, 3)" if ndim == 3 else "(frames, height, width, 3)"
         raise MetricError(f"wanted RGB of shape {expected_shape}, got {rendered.shape}")
     for name, image in (("rendered", rendered), ("truth", truth)):
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
-            raise MetricError(f"{name}: wanted uint8 in 0..255 or float in [0, 1], got {image.dtype}")
+            raise MetricError(
+                f"{name}: wanted uint8 in 0..255 or float in [0, 1], got {image.dtype}"
+            )
         if image.dtype != np.uint8 and LARGEST_FLOAT < image.max() < np.inf:
-            raise MetricError(f"{name}: wanted float in [0, 1], got up to {image.max():.4g}; divide by 255")
+            raise MetricError(
+                f"{name}: wanted float in [0, 1], got up to {image.max():.4g}; divide by 255"
+            )
     if (rendered.dtype == np.uint8) != (truth.dtype == np.uint8):
-        raise MetricError(f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither")
+        raise MetricError(
+            f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither"
+        )
 
 
 def check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
@@ -46,21 +57,26 @@ def white_level(image: Image) -> float:
 
 
 def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
-    """Return both images as they are if 8-bit, else as float64: OpenCV compares one type only, and not every width of float."""
+    """Return both images as they are if 8-bit, else as float64: OpenCV compares one type only, and
+    not every width of float.
+    """
     if truth.dtype == np.uint8:
         return rendered, truth
     return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
 
 
 def mean_inside(rendered: Image, truth: Image, mask: Mask, norm: int) -> float:
-    """Return the mean over the pixels inside a mask and their channels of what one of OpenCV's norms adds up.
+    """Return the mean over the pixels inside a mask and their channels of what one of OpenCV's
+    norms adds up.
 
     Raises:
         MetricError: images or mask do not fit each other, or fewer than `LEAST_PIXELS` inside.
     """
     check_pair(rendered, truth)
     n_pixels = count_inside(mask, truth.shape[:2])
-    return float(cv2.norm(*same_kind(rendered, truth), norm, mask.astype(np.uint8))) / (3 * n_pixels)
+    return float(cv2.norm(*same_kind(rendered, truth), norm, mask.astype(np.uint8))) / (
+        3 * n_pixels
+    )
 
 
 def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
@@ -73,7 +89,11 @@ def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
 
 
 def require_finite(value: float, metric: str) -> float:
-    """Return the value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence."""
+    """Return the value of a metric, or an error where a frame of floats held NaN or infinity: no
+    score is NaN in silence.
+    """
     if not np.isfinite(value):
-        raise MetricError(f"{metric}: the frames hold values that are not finite; render them again")
+        raise MetricError(
+            f"{metric}: the frames hold values that are not finite; render them again"
+        )
     return value

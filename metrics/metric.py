@@ -1,4 +1,6 @@
-"""Metrics as objects: definition, scorer of a view, pooling of the number, and place in the tables."""
+"""Metrics as objects: definition, scorer of a view, pooling of the number, and place in the
+tables.
+"""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +17,16 @@ from ggvs_eval.statistics.pooling import MEAN, Pooling
 Kind = Literal["frame", "pair", "view", "rig", "path", "depth"]
 ColourMap = NDArray[np.float64]  # (3, 4): true colour is about map @ (r, g, b, 1), all in [0, 1]
 Value = tuple[str, int | None, float]  # metric, frame or pose (None: the whole view or path), value
-Row = tuple[str | None, int, float]  # view (None: the whole rig), frame (-1: the whole sequence), value
+# view (None: the whole rig), frame (-1: the whole sequence), value
+Row = tuple[str | None, int, float]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Group:
-    """A table of a report: metrics of one group are its columns, in the order in which a protocol names them."""
+    """A table of a report: metrics of one group are its columns, in the order in which a protocol
+    names them.
+    """
 
     key: str
     title: str
@@ -40,8 +45,10 @@ class MetricOptions(MetricChoices):
     """Metric options of a protocol, and the measured part of the frames.
 
     Attributes:
-        first_frame: number, counted from the protocol's first one, of the frame that is measured first.
-        device: where metrics compute that can (`ViewMetric.on_device`); no choice of the protocol's.
+        first_frame: number, counted from the protocol's first one, of the frame that is measured
+            first.
+        device: where metrics compute that can (`ViewMetric.on_device`); no choice of the
+            protocol's.
     """
 
     first_frame: int = 0
@@ -51,14 +58,16 @@ class MetricOptions(MetricChoices):
 class TruthFrame:
     """A captured frame, with everything derived from it alone computed once for all methods.
 
-    SSIM's moments of the truth are not kept: the kernel filters four maps while they are in cache, and keeping one of them would
-    save at most a quarter of its 8.8 ms at 1352x1014, less than the 2.7 ms of reading 33 MB of moments back.
+    SSIM's moments of the truth are not kept: the kernel filters four maps while they are in cache,
+    and keeping one of them would save at most a quarter of its 8.8 ms at 1352x1014, less than the
+    2.7 ms of reading 33 MB of moments back.
 
     Attributes:
         image: the frame, (H, W, 3).
         previous: the captured frame before; None for the first.
         disoccluded: where no source camera sees the view, (H, W); None if that is unknown.
-        renderings: frames of all methods that will be compared with it, so that a metric can look at them in one pass.
+        renderings: frames of all methods that will be compared with it, so that a metric can look
+            at them in one pass.
     """
 
     def __init__(
@@ -75,7 +84,9 @@ class TruthFrame:
         self._derived: dict[Hashable, Any] = {}
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return the result of `compute`, which depends on the truth alone: the first one under this key."""
+        """Return the result of `compute`, which depends on the truth alone: the first one under
+        this key.
+        """
         if key not in self._derived:
             self._derived[key] = compute()
         result: T = self._derived[key]
@@ -101,18 +112,27 @@ class FramePair:
     colour_map: ColourMap | None = None
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return the result of `compute`, which depends on both frames: the first one under this key; see `shared_by_parts`."""
+        """Return the result of `compute`, which depends on both frames: the first one under this
+        key; see `shared_by_parts`.
+        """
         return shared_by_parts(self.rendered, self.truth, key, compute)
 
 
-def shared_by_parts(rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]) -> T:
-    """Return a quantity that a metric and its parts derive from the same two frames, kept as long as the captured frame lives."""
+def shared_by_parts(
+    rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]
+) -> T:
+    """Return a quantity that a metric and its parts derive from the same two frames, kept as long
+    as the captured frame lives.
+    """
     # The frame is kept with the result, so that no other one can come to have its identity.
     return truth.once((key, id(rendered)), lambda: (rendered, compute()))[1]
 
 
 class Scorer(Protocol):
-    """One or several metrics of a view, fed frame by frame; what it raises as `MetricError` is the reason for their absence."""
+    """One or several metrics of a view, fed frame by frame.
+
+    What it raises as `MetricError` is the reason for their absence.
+    """
 
     @property
     def names(self) -> Sequence[str]:
@@ -157,15 +177,17 @@ class Metric:
 
     Attributes:
         name: as in protocols and tables.
-        kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
-            ``rig`` (all views), a camera ``path`` without truth, or a ``depth`` video.
+        kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view``
+            (all its frames), or the ``rig`` (all views), a camera ``path`` without truth, or a
+            ``depth`` video.
         function: its definition, images (or for deviations errors) in, numbers out.
         unit: unit of a value, empty if it has none.
         higher_is_better: direction of the arrow in tables.
         group: table that it belongs to.
         decimals: digits after the point in tables; None for four significant ones.
-        pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its values it names
-            parts that are in the table too: what its scorer returns in addition, or another metric.
+        pooling: how its number on a scene comes from values per view and frame. Where that is no
+            mean of its values it names parts that are in the table too: what its scorer returns in
+            addition, or another metric.
         describe: one line for a reader who meets the metric for the first time.
         note: what a protocol's options add to that line.
         reference: where it is defined.
@@ -190,13 +212,19 @@ class Metric:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """Names of the modules that define it; what these import, and nothing else, decides its values."""
-        decisive = (value for name, value in vars(self).items() if callable(value) and name != "note")
+        """Names of the modules that define it.
+
+        What these import, and nothing else, decides its values.
+        """
+        decisive = (
+            value for name, value in vars(self).items() if callable(value) and name != "note"
+        )
         functions = (getattr(function, "func", function) for function in decisive)  # of partials
         return tuple(sorted({function.__module__ for function in functions}))
 
 
-# The metric of the pixels inside a mask (H, W); None if it does not look at this frame. Too small a mask is a `MetricError`.
+# The metric of the pixels inside a mask (H, W); None if it does not look at this frame. Too small a
+# mask is a `MetricError`.
 Inside = Callable[[FramePair, Mask], float | None]
 
 
@@ -206,7 +234,8 @@ class Series:
 
     Attributes:
         n_frames: how many of them it takes.
-        function: (these frames, in order, and where the scene is static, (H, W), or None for everywhere) -> value.
+        function: (these frames, in order, and where the scene is static, (H, W), or None for
+            everywhere) -> value.
     """
 
     n_frames: int
@@ -221,14 +250,16 @@ class ViewMetric(Metric):
     """A metric of rendered frames against the captured ones of a view.
 
     Attributes:
-        scorer: makes the scorer of a view from the names that are asked for, the options and the colour map of the view; metrics
-            with one factory share a scorer. None calls `function` on each frame.
-        inside: the metric of a part of the image, of which `regions.metrics_of_parts` makes one metric for each part; None where
-            there is none.
+        scorer: makes the scorer of a view from the names that are asked for, the options and the
+            colour map of the view; metrics with one factory share a scorer. None calls `function`
+            on each frame.
+        inside: the metric of a part of the image, of which `regions.metrics_of_parts` makes one
+            metric for each part; None where there is none.
         inside_note: what that adds to the line that describes the part.
         corrects_colours: whether it wants that colour map.
         weights: file of trained weights that it needs; None if it needs none.
-        on_device: whether it computes on `MetricOptions.device`, so that its values are those of a device.
+        on_device: whether it computes on `MetricOptions.device`, so that its values are those of a
+            device.
         series: the metric of a video without truth; None if it compares with one.
     """
 
@@ -243,11 +274,13 @@ class ViewMetric(Metric):
 
 @dataclass(frozen=True, kw_only=True)
 class TableMetric(Metric):
-    """A metric that comes from another metric's values of all frames, or of all views and frames, and sees no image.
+    """A metric that comes from another metric's values of all frames, or of all views and frames,
+    and sees no image.
 
     Attributes:
         part: name of that metric, one value per frame.
-        rows: (view -> frame -> value of the part, options) -> values; raises `MetricError` where there can be none.
+        rows: (view -> frame -> value of the part, options) -> values; raises `MetricError` where
+            there can be none.
     """
 
     part: str
@@ -256,7 +289,9 @@ class TableMetric(Metric):
 
 @dataclass(frozen=True, kw_only=True)
 class DepthMetric(Metric):
-    """A metric of depth videos, without truth; no protocol names it, see `series_scores.score_depths`.
+    """A metric of depth videos, without truth.
+
+    No protocol names it, see `series_scores.score_depths`.
 
     Attributes:
         series: measures it.

@@ -1,7 +1,7 @@
 """Frames on a device, for the metrics that compute there: uploads, means of windows, correlations.
 
-Small computations stay on the host: the block entropies of ST-RRED's band, a sixty-fourth of the pixels. PSNR, L1 and SDT
-take a tenth of a millisecond there.
+Small computations stay on the host: the block entropies of ST-RRED's band, a sixty-fourth of the
+pixels. PSNR, L1 and SDT take a tenth of a millisecond there.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,14 @@ UPLOADED = "uploaded"
 
 
 def upload_pair(rendered: Image8, truth: TruthFrame, device: str) -> tuple[Tensor, Tensor]:
-    """Return a rendered and a captured frame on the device, (H, W, 3) uint8; each is uploaded once for all metrics."""
+    """Return a rendered and a captured frame on the device, (H, W, 3) uint8.
+
+    Each is uploaded once for all metrics.
+    """
     truth_tensor = truth.once((UPLOADED, device), lambda: upload(truth.image, device))
-    return shared_by_parts(rendered, truth, (UPLOADED, device), lambda: upload(rendered, device)), truth_tensor
+    return shared_by_parts(
+        rendered, truth, (UPLOADED, device), lambda: upload(rendered, device)
+    ), truth_tensor
 
 
 def upload(image: Image8, device: str) -> Tensor:
@@ -36,7 +41,9 @@ def unit_range(image: Tensor, border: int = 0) -> Tensor:
 
 @torch.inference_mode()
 def window_means(planes: Tensor, taps: Sequence[float]) -> Tensor:
-    """Weighted mean of every window inside the planes (H, W, C); the window is the product of the taps along both axes.
+    """Weighted mean of every window inside the planes (H, W, C).
+
+    The window is the product of the taps along both axes.
 
     Sums of shifted planes: cuDNN would choose the order of its sums itself.
     """
@@ -51,8 +58,12 @@ def window_means(planes: Tensor, taps: Sequence[float]) -> Tensor:
 
 @torch.inference_mode()
 def correlate(plane: Tensor, kernel: Array, stride: int = 1) -> Tensor:
-    """Return the correlation of a plane (H, W) of doubles reflected at its border (the edge not repeated), with a stride."""
+    """Return the correlation of a plane (H, W) of doubles reflected at its border (the edge not
+    repeated), with a stride.
+    """
     border = kernel.shape[0] // 2
     padded = functional.pad(plane[None, None], (border, border, border, border), mode="reflect")
     with torch.backends.cudnn.flags(enabled=True, deterministic=True):
-        return functional.conv2d(padded, torch.from_numpy(kernel).to(plane.device)[None, None], stride=stride)[0, 0]
+        return functional.conv2d(
+            padded, torch.from_numpy(kernel).to(plane.device)[None, None], stride=stride
+        )[0, 0]

@@ -15,7 +15,11 @@ from ggvs_eval.metrics.stream import ViewScores
 def series_of_frames() -> dict[str, Series]:
     """Return the metrics of a video without truth."""
     metrics = {name: METRICS[name] for name in METRICS_OF_VIDEOS}
-    return {name: metric.series for name, metric in metrics.items() if isinstance(metric, ViewMetric) and metric.series}
+    return {
+        name: metric.series
+        for name, metric in metrics.items()
+        if isinstance(metric, ViewMetric) and metric.series
+    }
 
 
 def series_of_depths() -> dict[str, Series]:
@@ -27,11 +31,13 @@ def score_frames(frames: Iterable[Image8], static: Mask | None = None) -> ViewSc
     """Measure how steady a video is: mTV, mTV2, and the sharpness that they are to be read with.
 
     Args:
-        frames: in order, each (H, W, 3) uint8 in 0..255 or float in [0, 1]; consumed as a stream, three are in memory.
+        frames: in order, each (H, W, 3) uint8 in 0..255 or float in [0, 1]; consumed as a stream,
+            three are in memory.
         static: (H, W), where the scene is static and the camera with it; None for the whole image.
 
     Returns:
-        (metric, first frame of those it belongs to, value), and the reasons for what there is too little of.
+        (metric, first frame of those it belongs to, value), and the reasons for what there is too
+        little of.
 
     Raises:
         MetricError: no frames, or frames that do not fit each other or the mask.
@@ -48,10 +54,12 @@ def score_frames(frames: Iterable[Image8], static: Mask | None = None) -> ViewSc
 
 
 def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScores:
-    """Measure how steady a depth video is: change, second difference and holes of it, and its sharpness.
+    """Measure how steady a depth video is: change, second difference and holes of it, and its
+    sharpness.
 
     Args:
-        depths: in order, each (H, W) float, any unit, 0 = unknown; depth or disparity; consumed as a stream, three are in memory.
+        depths: in order, each (H, W) float, any unit, 0 = unknown; depth or disparity; consumed as
+            a stream, three are in memory.
         static: see `score_frames`.
 
     Raises:
@@ -60,7 +68,11 @@ def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScore
     Example:
         >>> import numpy as np
         >>> wall = np.full((8, 8), 2.0, np.float32)
-        >>> [(name, round(value, 2)) for name, _, value in score_depths([wall, 1.02 * wall]).values if name == "depth_mTV"]
+        >>> [
+        ...     (name, round(value, 2))
+        ...     for name, _, value in score_depths([wall, 1.02 * wall]).values
+        ...     if name == "depth_mTV"
+        ... ]
         [('depth_mTV', 1.98)]
     """
     return _score(depths, static, series_of_depths())
@@ -84,8 +96,14 @@ def _score(frames: Iterable[Any], static: Mask | None, metrics: Mapping[str, Ser
         for name, series in metrics.items():
             first = index + 1 - series.n_frames
             if first >= 0:
-                values.append((name, first, series.function(list(window)[-series.n_frames :], static)))
+                values.append(
+                    (name, first, series.function(list(window)[-series.n_frames :], static))
+                )
     if index < 0:
         raise MetricError("no frames to score; wanted at least one")
-    missing = {name: series.n_frames for name, series in metrics.items() if series.n_frames > index + 1}
-    return ViewScores(values, {name: f"{index + 1} frames; needs {least}" for name, least in missing.items()})
+    missing = {
+        name: series.n_frames for name, series in metrics.items() if series.n_frames > index + 1
+    }
+    return ViewScores(
+        values, {name: f"{index + 1} frames; needs {least}" for name, least in missing.items()}
+    )

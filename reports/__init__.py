@@ -1,1 +1,4 @@
-"""Reports: tables, slices, curves and the page, read from run folders on disk; nothing is rendered or measured here."""
+"""Reports: tables, slices, curves and the page, read from run folders on disk.
+
+Nothing is rendered or measured here.
+"""

@@ -14,17 +14,25 @@ from ggvs_eval.reports.page.page import page_numbers, render_page
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.section import Draw, FigurePlaces, Report, RunGroup, with_sections
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
-from ggvs_eval.reports.tables.table_formats import has_excel, to_csv, to_latex, to_markdown, write_excel
+from ggvs_eval.reports.tables.table_formats import (
+    has_excel,
+    to_csv,
+    to_latex,
+    to_markdown,
+    write_excel,
+)
 from ggvs_eval.run_folder import RunFolder
 
 
 def write_tables(report: Report, out: Path, columns: Sequence[str] = ()) -> None:
     """Write all tables of the page, and the files that its sections add.
 
-    Of several groups each file holds all: ``tables.csv`` distinguishes them by its columns of the protocol, the others by titles.
+    Of several groups each file holds all: ``tables.csv`` distinguishes them by its columns of the
+    protocol, the others by titles.
 
     Args:
-        columns: metrics of the tables in Markdown, LaTeX and Excel, which are one per data set then; all of them by default.
+        columns: metrics of the tables in Markdown, LaTeX and Excel, which are one per data set
+            then; all of them by default.
 
     Raises:
         ResultsError: no such column.
@@ -48,20 +56,31 @@ def write_tables(report: Report, out: Path, columns: Sequence[str] = ()) -> None
         values = {Path(name).stem: text for name, text in files.items() if name.endswith(".csv")}
         write_excel(titled, {"values": csv, **values}, out / "tables.xlsx")
     else:
-        print("tables.xlsx not written: pandas needs openpyxl for it; pip install openpyxl", file=sys.stderr)
+        print(
+            "tables.xlsx not written: pandas needs openpyxl for it; pip install openpyxl",
+            file=sys.stderr,
+        )
 
 
 def all_tables(report: Report, group: RunGroup) -> list[Table]:
     """Return the tables over all runs of a group, then each run's, in the order of the page."""
     tables = [*group.tables, *report.tables(group.id)]
     for key, run in group.runs.items():
-        tables += [*report.tables(key, ""), *report.tables(key, "views"), *view_tables(run), *report.tables(key, "timing")]
+        tables += [
+            *report.tables(key, ""),
+            *report.tables(key, "views"),
+            *view_tables(run),
+            *report.tables(key, "timing"),
+        ]
     return tables
 
 
 def _titled(group: RunGroup, tables: Sequence[Table]) -> list[Table]:
     """Name the group where the tables of several are in one file."""
-    places = [group.name if table.dataset == group.scenes else f"{table.dataset}: {group.name}" for table in tables]
+    places = [
+        group.name if table.dataset == group.scenes else f"{table.dataset}: {group.name}"
+        for table in tables
+    ]
     return [replace(table, dataset=place) for table, place in zip(tables, places, strict=True)]
 
 
@@ -86,15 +105,17 @@ def write_report(
 ) -> Path:
     """Write ``index.html``, ``tables.*``, files of sections and ``figures/*.png``.
 
-    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are a separate group,
-    on the same page and in the same files.
+    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are
+    a separate group, on the same page and in the same files.
 
     Args:
-        runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep represents its runs, and its
-            table and curves over K come first.
+        runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep
+            represents its runs, and its table and curves over K come first.
         out: folder to write to; None takes ``report`` in the first of them.
-        tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.
-        with_figures: also the figures, which the page does without; a page that is going to grow does not need them yet.
+        tables_of: folders of sweeps that are shown by their tables and curves alone, without their
+            runs.
+        with_figures: also the figures, which the page does without; a page that is going to grow
+            does not need them yet.
         standalone: make a page that loads nothing, also no frames at full size from its run folder.
         columns: metrics of the tables for papers, see `write_tables`.
         jobs: processes that draw the figures.

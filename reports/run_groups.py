@@ -1,4 +1,7 @@
-"""Runs of one protocol, which alone may share a table; a report holds one group of them or several."""
+"""Runs of one protocol, which alone may share a table.
+
+A report holds one group of them or several.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -14,11 +17,15 @@ from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else distinguishes two groups
-RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
+# of a run; they name every frame that was measured by its content
+RECORDS = (".json", ".parquet", ".toml")
 
 
-def read_groups(roots: Sequence[Path], read: Callable[[Path], MeasuredRun] | None = None) -> tuple[RunGroup, ...]:
-    """Read scored runs and group them by the hash of their protocol, in the order in which they are given.
+def read_groups(
+    roots: Sequence[Path], read: Callable[[Path], MeasuredRun] | None = None
+) -> tuple[RunGroup, ...]:
+    """Read scored runs and group them by the hash of their protocol, in the order in which they are
+    given.
 
     Args:
         read: reads a run; by default with a look for its frames, once while it is unchanged.
@@ -50,7 +57,10 @@ def read_groups(roots: Sequence[Path], read: Callable[[Path], MeasuredRun] | Non
 
 
 def _read(root: Path) -> MeasuredRun:
-    """Read a run, or return it as it was read; sections keep by it what they have read of its frames."""
+    """Read a run, or return it as it was read.
+
+    Sections keep by it what they have read of its frames.
+    """
     records = [file for file in Path(root).glob("*") if file.suffix in RECORDS]
     return _read_records(Path(root), digest_files(sorted(records)))
 
@@ -60,15 +70,24 @@ def _read_records(root: Path, scored: str) -> MeasuredRun:
     return read_run(root)
 
 
-def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun]) -> list[list[MeasuredRun]]:
-    """Read runs and sort them by the hash of their protocol, in the order in which they are given."""
+def runs_by_protocol(
+    roots: Sequence[Path], read: Callable[[Path], MeasuredRun]
+) -> list[list[MeasuredRun]]:
+    """Read runs and sort them by the hash of their protocol, in the order in which they are
+    given.
+    """
     if not roots:
-        raise ResultsError("wanted at least one run folder, got none; make one with `ggvs-eval run`")
+        raise ResultsError(
+            "wanted at least one run folder, got none; make one with `ggvs-eval run`"
+        )
     places = [Path(root).resolve() for root in roots]
     if len(set(places)) < len(places):
-        twice = next(root for root, place in zip(roots, places, strict=True) if places.count(place) > 1)
+        twice = next(
+            root for root, place in zip(roots, places, strict=True) if places.count(place) > 1
+        )
         raise ResultsError(
-            f"{twice}: wanted each run once, it is given {places.count(Path(twice).resolve())} times; name it once"
+            f"{twice}: wanted each run once, it is given {places.count(Path(twice).resolve())} "
+            f"times; name it once"
         )
     by_protocol: dict[str, list[MeasuredRun]] = {}
     for run in map(read, roots):
@@ -77,8 +96,16 @@ def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun])
 
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
-    """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where these are the same."""
-    terms = [(scene, run.protocol.name, run.sources_text) for run, scene in zip(firsts, scenes, strict=True)]
+    """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where
+    these are the same.
+    """
+    terms = [
+        (scene, run.protocol.name, run.sources_text)
+        for run, scene in zip(firsts, scenes, strict=True)
+    ]
     names = [", ".join(filter(None, parts)) for parts in terms]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
-    return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]
+    return [
+        f"{name}, {digest}" if names.count(name) > 1 else name
+        for name, digest in zip(names, hashes, strict=True)
+    ]

@@ -1,4 +1,5 @@
-"""The door of the sections of a report: all that it shows besides its main tables, each of which can be deleted.
+"""The door of the sections of a report: all that it shows besides its main tables, each of which
+can be deleted.
 
 `ggvs_eval.built_in.SECTIONS` lists them as text, and a plug-in's table SECTIONS adds to them.
 """
@@ -21,7 +22,8 @@ from ggvs_eval.reports.tables.verdict import Verdict
 from ggvs_eval.results import Results
 
 Draw = Callable[[], object]
-RUNS_KEPT = 8  # of which a section keeps what it reads of their frames, for a page that grows with every run
+# of which a section keeps what it reads of their frames, for a page that grows with every run
+RUNS_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ class RunGroup:
 
 
 class FigurePlaces(NamedTuple):
-    """Folder for the figures of the report and each run, by id, and the number of each name's colour."""
+    """Folder for the figures of the report and each run, by id, and the number of each name's
+    colour.
+    """
 
     folders: Mapping[str, Path]
     numbers: Mapping[str, int]
@@ -71,16 +75,18 @@ class FigurePlaces(NamedTuple):
 
 @dataclass(frozen=True)
 class SectionContent:
-    """What a section adds to a report, by the ids of its runs and groups; the id of the report itself is empty.
+    """What a section adds to a report, by the ids of its runs and groups.
+
+    The id of the report itself is empty.
 
     Attributes:
         tables: of a run or a group, for the page and for all files.
         part: of the page that lists the tables of runs, `views` or `timing`; else the section does.
-        values: what the templates read of a run, a group or the report; a template is shown of a group if a value
-            of its name, of the group or any of its runs, is not empty.
+        values: what the templates read of a run, a group or the report; a template is shown of a
+            group if a value of its name, of the group or any of its runs, is not empty.
         data: what the page's scripts read of a run.
-        sheets: further sheets of the page: `id`, `title`, `comes_first`, and the name of a `template` with
-            what it reads, or `html`.
+        sheets: further sheets of the page: `id`, `title`, `comes_first`, and the name of a
+            `template` with what it reads, or `html`.
         names: of further lines in the drawings, which get colours.
         figures: what draws each figure.
         files: further files next to the page, name -> text.
@@ -123,17 +129,31 @@ class Report:
         return {key: run for group in self.groups for key, run in group.runs.items()}
 
     def tables(self, key: str, part: str | None = None) -> list[Table]:
-        """Return the sections' tables of a run or a group; those that one part of the page lists, or all."""
+        """Return the sections' tables of a run or a group.
+
+        Those that one part of the page lists, or all.
+        """
         contents = [content for content in self.contents if part in (None, content.part)]
         return [table for content in contents for table in content.tables.get(key, ())]
 
     def values(self, key: str) -> dict[str, Any]:
         """Return what templates read of a run, a group or the report."""
-        return {name: value for content in self.contents for name, value in content.values.get(key, {}).items()}
+        return {
+            name: value
+            for content in self.contents
+            for name, value in content.values.get(key, {}).items()
+        }
 
     def data(self, key: str) -> dict[str, Any]:
-        """Return what scripts read of a run; of two sections that give the same the later one counts."""
-        return {name: value for content in self.contents for name, value in content.data.get(key, {}).items()}
+        """Return what scripts read of a run.
+
+        Of two sections that give the same the later one counts.
+        """
+        return {
+            name: value
+            for content in self.contents
+            for name, value in content.data.get(key, {}).items()
+        }
 
 
 class Section(typing.Protocol):
@@ -156,7 +176,9 @@ def section_modules() -> list[str]:
 
 
 def with_sections(report: Report) -> Report:
-    """Return a report with the contents of all sections, and a line on each one that is not there."""
+    """Return a report with the contents of all sections, and a line on each one that is not
+    there.
+    """
     for name in SECTIONS.known():
         try:
             content = _content(name, report)
@@ -169,14 +191,18 @@ def with_sections(report: Report) -> Report:
 
 
 def _content(name: str, report: Report) -> SectionContent:
-    """Return the content of a section, of which every part must be there and no plug-in's code can end the report."""
+    """Return the content of a section, of which every part must be there and no plug-in's code can
+    end the report.
+    """
     if name in SECTIONS.plugins:
         with foreign(f"{SECTIONS.plugins[name].origin}: section {name!r} does not work"):
             return SECTIONS[name](deepcopy(report))
     return SECTIONS[name](report)
 
 
-def tables_of_runs(read: Callable[[MeasuredRun], Iterable[Table | None] | Table | None], part: str) -> Section:
+def tables_of_runs(
+    read: Callable[[MeasuredRun], Iterable[Table | None] | Table | None], part: str
+) -> Section:
     """Return the section that has tables of single runs and nothing else.
 
     Args:
@@ -188,12 +214,20 @@ def tables_of_runs(read: Callable[[MeasuredRun], Iterable[Table | None] | Table 
         tables = {}
         for key, run in report.runs.items():
             of_run = read(run)
-            tables[key] = [table for table in ([of_run] if isinstance(of_run, Table) else of_run or ()) if table]
+            tables[key] = [
+                table
+                for table in ([of_run] if isinstance(of_run, Table) else of_run or ())
+                if table
+            ]
         return SectionContent(tables=tables, part=part)
 
     return section
 
 
 def value_of_runs(read: Callable[[MeasuredRun], object], name: str) -> Section:
-    """Return the section that gives one value of each run, by this name, to the sections and templates behind it."""
-    return lambda report: SectionContent(values={key: {name: read(run)} for key, run in report.runs.items()})
+    """Return the section that gives one value of each run, by this name, to the sections and
+    templates behind it.
+    """
+    return lambda report: SectionContent(
+        values={key: {name: read(run)} for key, run in report.runs.items()}
+    )

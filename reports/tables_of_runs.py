@@ -1,4 +1,6 @@
-"""The tables that a paper prints, from stored results alone: metrics side by side, or a scene per column and their mean."""
+"""The tables that a paper prints, from stored results alone: metrics side by side, or a scene per
+column and their mean.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +13,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
-from ggvs_eval.reports.model.table import DASH, SHORT_MEANS, Cell, Table, join_tables
+from ggvs_eval.reports.model.table import DASH, SHORT, SHORT_MEANS, Cell, Table, join_tables
 from ggvs_eval.reports.run_groups import HASH_DIGITS, runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import OWN_TRUTH_MEANS, main_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
@@ -22,11 +24,14 @@ TableFormat = Literal["markdown", "latex", "csv"]
 MEAN = "Mean"
 
 
-def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableFormat, with_notes: bool = False) -> str:
+def tables_of_runs(
+    roots: Sequence[Path], columns: Sequence[str], to: TableFormat, with_notes: bool = False
+) -> str:
     """Return the tables of scored runs of one protocol; neither frames nor the page are touched.
 
     Args:
-        roots: run folders. One scene makes a table with a metric per column, several one table per metric, a scene per column.
+        roots: run folders. One scene makes a table with a metric per column, several one table per
+            metric, a scene per column.
         columns: metrics, in this order; those of the protocol where none is named.
         to: the format.
         with_notes: also all that a table says of its terms; otherwise a line of them.
@@ -36,16 +41,25 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     """
     groups = runs_by_protocol(roots, read_scores)
     if len(groups) > 1:
-        called = ", ".join(f"{runs[0].protocol.name} ({runs[0].protocol.sha256[:HASH_DIGITS]})" for runs in groups)
-        raise ResultsError(f"wanted runs of one protocol, got {called}; values of different protocols cannot share a table")
+        called = ", ".join(
+            f"{runs[0].protocol.name} ({runs[0].protocol.sha256[:HASH_DIGITS]})" for runs in groups
+        )
+        raise ResultsError(
+            f"wanted runs of one protocol, got {called}; values of different protocols cannot "
+            f"share a table"
+        )
     (runs,) = groups
     protocol, results = runs[0].protocol, merge_results([run.results for run in runs])
     names = list(dict.fromkeys(columns or protocol.measurement.metrics))
     several = len({run.scene for run in runs}) > 1
     tables = _over_scenes(runs, results, names) if several else [*main_tables(runs, results, names)]
-    means = [f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"]
+    means = [
+        f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"
+    ]
     means += filter(None, dict.fromkeys(run.sources_text for run in runs))
-    terms = f"Mean over {', '.join(means)}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    terms = (
+        f"Mean over {', '.join(means)}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    )
     if not with_notes:
         tables = [_in_short(table, terms, names) for table in tables]
     if to == "csv":
@@ -54,7 +68,8 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
 
 
 def scores_text(root: Path) -> str:
-    """Return the scores of a run as the page judges them: who is best, then by label, the best first, with intervals and marks.
+    """Return the scores of a run as the page judges them: who is best, then by label, the best
+    first, with intervals and marks.
 
     Columns that do not fit next to each other follow below.
     """
@@ -62,7 +77,10 @@ def scores_text(root: Path) -> str:
     tables = main_tables([run], run.results, with_grey=False)
     verdict = evaluate_verdict([run], run.results, tables)
     ranked = [contender.label for contender in (*verdict.contenders, *verdict.parts)]
-    marks = {label: f"{label}{reduced_mark(run.names.get(label, ''))}" for label in (*ranked, *run.results.row_labels)}
+    marks = {
+        label: f"{label}{reduced_mark(run.names.get(label, ''))}"
+        for label in (*ranked, *run.results.row_labels)
+    }
     rows = {(table.key, row.label): row for table in tables for row in table.rows}
     columns = []
     for table in tables:
@@ -78,8 +96,9 @@ def scores_text(root: Path) -> str:
         count = max(1, sum(end <= width for end in widths))
         block, columns = columns[:count], columns[count:]
         lines += _aligned([names, *block])
-    is_marked = any(cell.best for row in rows.values() for cell in row.cells)
-    return "\n".join([*lines, *(["*: best, or not significantly worse"] if is_marked else [])])
+    text = "\n".join(lines)
+    legends = {"*": "*: best, or not significantly worse", SHORT: SHORT_MEANS}
+    return "\n".join([text, *(words for mark, words in legends.items() if mark in text)])
 
 
 def _cell_text(cell: Cell) -> str:
@@ -99,17 +118,27 @@ def _aligned(columns: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
-    """With one line of terms, and below it what changes the reading of a number: its frames and views, a fault, a short clip."""
+    """With one line of terms, and below it what changes the reading of a number: its frames and
+    views, a fault, a short clip.
+    """
     _, _, marks = table.caption.partition(". ")
     subjects = (*metrics, *(row.name for row in table.rows if not row.is_grey))
-    notes = [note for note in table.notes if note.startswith(tuple(f"{subject} " for subject in subjects))]
+    notes = [
+        note
+        for note in table.notes
+        if note.startswith(tuple(f"{subject} " for subject in subjects))
+    ]
     notes += [note for note in table.notes if note == OWN_TRUTH_MEANS]
     notes += [SHORT_MEANS] if any(cell.is_short for row in table.rows for cell in row.cells) else []
     return replace(table, caption=f"{terms} {marks}".strip(), notes=tuple(notes))
 
 
-def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metrics: Sequence[str]) -> list[Table]:
-    """Return per metric a table with a column per scene and one of their mean, each judged alone."""
+def _over_scenes(
+    runs: Sequence[MeasuredRun], results: Results, metrics: Sequence[str]
+) -> list[Table]:
+    """Return per metric a table with a column per scene and one of their mean, each judged
+    alone.
+    """
     parts = {run.scene: ([run], run.results) for run in runs} | {MEAN: (runs, results)}
     standings = {name: judge_runs(*part) for name, part in parts.items()}
     tables = []
@@ -121,5 +150,9 @@ def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metrics: Sequenc
             column = replace(table.columns[0], name=name, unit="")
             columns.append(replace(table, key=name, dataset="", columns=(column,)))
         (joined,) = join_tables(columns, [*parts])
-        tables.append(replace(joined, key=metric, title=f"{metric}, {unit}" if unit else metric, judgements={}))
+        tables.append(
+            replace(
+                joined, key=metric, title=f"{metric}, {unit}" if unit else metric, judgements={}
+            )
+        )
     return tables

@@ -1,12 +1,13 @@
 """Fixtures that several test files share, where each test belongs, and how long it may take.
 
-Folders mirror those of the package; what tests build on is the package `helpers`. Both work in the checkout and beside an
-installed wheel.
+Folders mirror those of the package; what tests build on is the package `helpers`. Both work in the
+checkout and beside an installed wheel.
 
-A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into ``make test-all`` and
-``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core is listed at the
-end, and so is one that is the first to use a shared fixture of more than two, and a slow test beyond fifteen; one that takes
-twice as long fails (`helpers.time_limits`).
+A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into
+``make test-all`` and ``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that
+takes more than a second of a core is listed at the end, and so is one that is the first to use a
+shared fixture of more than two, and a slow test beyond fifteen; one that takes twice as long fails
+(`helpers.time_limits`).
 """
 
 import gc
@@ -24,12 +25,14 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     from ggvs_eval.jobs.processes import share_cpus
     from ggvs_eval.kernels import usable_cpus
 
-    # More threads than cores wait for one another at full speed: a network's step took ten times as long.
+    # More threads than cores wait for one another at full speed: a network's step took ten times as
+    # long.
     share_cpus(max(usable_cpus() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
 
 MARKERS = {
     "slow": "takes over half a second of a core: `make test-all` runs these",
-    "proof": "whole runs, films and trainings that repeat what other tests show in parts: `make validate` runs these",
+    "proof": "whole runs, films and trainings that repeat what other tests show in parts: `make "
+    "validate` runs these",
     "page": "opens a page in a real browser",
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",
@@ -39,7 +42,11 @@ MARKERS = {
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let ``--room online`` choose the tests of a room and of the rooms that import it."""
-    parser.addoption("--room", default="", help="run the tests of this room of the package and of the rooms that import it")
+    parser.addoption(
+        "--room",
+        default="",
+        help="run the tests of this room of the package and of the rooms that import it",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -63,7 +70,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[object]:
-    """Let the garbage collector rest, and pass over what is collected ever after: walking through it took a third of the time."""
+    """Let the garbage collector rest, and pass over what is collected ever after: walking through
+    it took a third of the time.
+    """
     gc.disable()
     try:
         return (yield)
@@ -82,8 +91,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(specname="pytest_collection_modifyitems", trylast=True)
 def pytest_long_files_first(items: list[pytest.Item]) -> None:
-    """Begin with the files that take long, in their random order: none is left for one process at the end."""
-    long = {item.path for item in items if item.get_closest_marker("slow") or "whole_run" in getattr(item, "fixturenames", ())}
+    """Begin with the files that take long, in their random order: none is left for one process at
+    the end.
+    """
+    long = {
+        item.path
+        for item in items
+        if item.get_closest_marker("slow") or "whole_run" in getattr(item, "fixturenames", ())
+    }
     items.sort(key=lambda item: item.path not in long)
 
 
@@ -109,7 +124,9 @@ def _rooms_lit_once(shared_folder) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _known_pace() -> Iterator[None]:
-    """Work takes here what it takes on the reference machine: to find that out takes a second of a core in every process."""
+    """Work takes here what it takes on the reference machine: to find that out takes a second of a
+    core in every process.
+    """
     from ggvs_eval.jobs import machine
 
     with pytest.MonkeyPatch.context() as patch:
@@ -121,7 +138,9 @@ def _known_pace() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def quick_demo(shared_folder) -> Path:
-    """What `ggvs-eval demo --quick` unpacks, once for all processes; nobody changes it, `shutil.copytree` it."""
+    """What `ggvs-eval demo --quick` unpacks, once for all processes; nobody changes it,
+    `shutil.copytree` it.
+    """
     from ggvs_eval.files.atomic import locked
     from ggvs_eval.synthetic.shipped import write_quick
 
@@ -178,7 +197,9 @@ def kernel_settings() -> Iterator[None]:
 
 @pytest.fixture
 def torch_threads() -> Iterator[None]:
-    """Puts back torch's number of threads that a test changes; two on one core would slow all that follow."""
+    """Puts back torch's number of threads that a test changes; two on one core would slow all that
+    follow.
+    """
     import torch
 
     threads = torch.get_num_threads()

@@ -1,4 +1,6 @@
-"""What ships is text in tables: it is what its modules hold, loads when it is asked for, and can be taken away."""
+"""What ships is text in tables: it is what its modules hold, loads when it is asked for, and can be
+taken away.
+"""
 
 import subprocess
 import sys
@@ -23,24 +25,42 @@ def test_metrics_are_called_as_the_table_calls_them():
     """Each reference leads to the metric of its name, and what is derived follows from its base."""
     every = METRICS.built_in() | DEPTH_METRICS.built_in()
     assert {name: metric.name for name, metric in every.items()} == {name: name for name in every}
-    assert tuple(name for name, metric in every.items() if isinstance(metric, ViewMetric) and metric.inside) == built_in.IN_PARTS
     assert (
-        tuple(name for name, metric in every.items() if isinstance(metric, ViewMetric) and metric.series)
+        tuple(
+            name
+            for name, metric in every.items()
+            if isinstance(metric, ViewMetric) and metric.inside
+        )
+        == built_in.IN_PARTS
+    )
+    assert (
+        tuple(
+            name
+            for name, metric in every.items()
+            if isinstance(metric, ViewMetric) and metric.series
+        )
         == built_in.METRICS_OF_VIDEOS
     )
-    assert tuple(name for name, metric in every.items() if metric.has_ceiling) == built_in.METRICS_WITH_CEILING
+    assert (
+        tuple(name for name, metric in every.items() if metric.has_ceiling)
+        == built_in.METRICS_WITH_CEILING
+    )
 
 
 @pytest.mark.slow
 def test_a_name_is_known_before_it_is_loaded():
-    """Of an entry's package nothing is imported before it is asked for; scores need no torch, scipy, pandas or matplotlib."""
+    """Of an entry's package nothing is imported before it is asked for; scores need no torch,
+    scipy, pandas or matplotlib.
+    """
     code = (
-        "import sys\nimport numpy as np\nfrom ggvs_eval.metrics.registry import METRICS\nlist(METRICS), 'FLIP' in METRICS\n"
+        "import sys\nimport numpy as np\nfrom ggvs_eval.metrics.registry import "
+        "METRICS\nlist(METRICS), 'FLIP' in METRICS\n"
         "loaded = lambda *names: [name for name in sys.modules if name.startswith(names)]\n"
         "print(loaded('ggvs_eval.metrics.image.'))\nMETRICS['PSNR']\nprint(loaded('ggvs_eval.metrics.image.'))\n"
         "from ggvs_eval.metrics.stream import score_view\n"
         "frames = [np.full((96, 128, 3), level, np.uint8) for level in (0, 9)]\n"
-        "scores = score_view(list(zip(frames, frames)), ('PSNR', 'SSIM', 'L1', 'TCC', 'STED', 'Flicker'))\n"
+        "scores = score_view(list(zip(frames, frames)), ('PSNR', 'SSIM', 'L1', 'TCC', 'STED', "
+        "'Flicker'))\n"
         "print(scores.not_computed, loaded('torch', 'scipy', 'pandas', 'matplotlib'))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -61,7 +81,8 @@ def test_what_is_not_installed_is_left_out_and_named():
     with pytest.raises(AbsentPartError) as caught:
         made["away"]
     assert str(caught.value) == (
-        "away is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or omit it"
+        "away is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or "
+        "omit it"
     )
 
 
@@ -71,7 +92,9 @@ def test_a_metric_that_is_not_installed_is_not_computed(monkeypatch):
     frame = np.zeros((16, 16, 3), np.uint8)
     scores = score_view([(frame, frame)], ("PSNR", "Flight"))
     assert [name for name, _, _ in scores.values] == ["PSNR"]
-    assert scores.not_computed["Flight"].startswith("Flight is part of ggvs_eval.contrib.wings, which is not installed")
+    assert scores.not_computed["Flight"].startswith(
+        "Flight is part of ggvs_eval.contrib.wings, which is not installed"
+    )
 
 
 def test_a_protocol_of_the_user_may_not_name_what_is_not_installed(tmp_path, monkeypatch):
@@ -82,17 +105,24 @@ def test_a_protocol_of_the_user_may_not_name_what_is_not_installed(tmp_path, mon
     assert asked_protocol("demo") == packaged
     file = tmp_path / "mine.toml"
     file.write_text(replace(packaged, name="mine").to_toml())
-    with pytest.raises(ProtocolError, match=r"mine\.toml: measurement\.metrics: PSNR_cc is part of ggvs_eval\.contrib\.wings"):
+    with pytest.raises(
+        ProtocolError,
+        match=r"mine\.toml: measurement\.metrics: PSNR_cc is part of ggvs_eval\.contrib\.wings",
+    ):
         asked_protocol(str(file))
 
 
 def test_a_folder_of_that_name_is_not_the_module_that_is_needed(tmp_path, monkeypatch):
-    """Python takes any folder on its path for a namespace package; what needs a module stays absent and says so."""
+    """Python takes any folder on its path for a namespace package; what needs a module stays absent
+    and says so.
+    """
     (tmp_path / "wings").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     parts = Registry("parts", {"flight": "ggvs_eval.built_in:METRICS"}, needs="wings")
     assert "flight" not in parts
-    with pytest.raises(AbsentPartError, match="flight wants the module wings, which is not installed"):
+    with pytest.raises(
+        AbsentPartError, match="flight wants the module wings, which is not installed"
+    ):
         parts["flight"]
     (tmp_path / "wings" / "__init__.py").touch()
     assert "flight" in parts

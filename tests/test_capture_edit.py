@@ -1,4 +1,6 @@
-"""One instant held still, sensor noise added: bits that a seed decides, statistics in closed form, runs that pick it up again."""
+"""One instant held still, sensor noise added: bits that a seed decides, statistics in closed form,
+runs that pick it up again.
+"""
 
 import dataclasses
 import json
@@ -46,10 +48,15 @@ def test_one_instant_is_held_still(folder_capture):
 
 
 def test_noise_has_its_sigma_and_nothing_in_common(folder_capture):
-    """Noise of 1.5 levels (and 1/12 for rounding), no mean, uncorrelated between instants and between cameras."""
+    """Noise of 1.5 levels (and 1/12 for rounding), no mean, uncorrelated between instants and
+    between cameras.
+    """
     held = perturb_capture(folder_capture, HELD)
     grain = np.stack(
-        [[image - make_image(camera, 2).astype(float) for image in held.frames(name)] for camera, name in enumerate(NAMES)]
+        [
+            [image - make_image(camera, 2).astype(float) for image in held.frames(name)]
+            for camera, name in enumerate(NAMES)
+        ]
     )  # (cameras, instants, H, W, 3)
     flat = grain.reshape(len(NAMES) * 6, -1)
     correlations = np.corrcoef(flat) - np.eye(len(flat))
@@ -60,7 +67,9 @@ def test_noise_has_its_sigma_and_nothing_in_common(folder_capture):
 
 
 def test_equal_seeds_give_equal_bits_in_any_order(folder_capture):
-    """Frames are the same asked for one by one, backwards, or as a stream; another seed gives others."""
+    """Frames are the same asked for one by one, backwards, or as a stream; another seed gives
+    others.
+    """
     held, again = perturb_capture(folder_capture, HELD), perturb_capture(folder_capture, HELD)
     stream = list(held.frames("cam01"))
 
@@ -100,9 +109,17 @@ def test_noise_is_clipped_like_an_image(folder_capture):
 
 def test_digests_tell_what_was_done(folder_capture):
     """Held, noisy, other noise, longer, as taken: five inputs, five digests."""
-    kinds = [CaptureEdit(), CaptureEdit(hold_frames=6), CaptureEdit(hold_frames=7), HELD, dataclasses.replace(HELD, noise_seed=8)]
+    kinds = [
+        CaptureEdit(),
+        CaptureEdit(hold_frames=6),
+        CaptureEdit(hold_frames=7),
+        HELD,
+        dataclasses.replace(HELD, noise_seed=8),
+    ]
 
-    assert len({perturb_capture(folder_capture, kind).digest("cam00") for kind in kinds}) == len(kinds)
+    assert len({perturb_capture(folder_capture, kind).digest("cam00") for kind in kinds}) == len(
+        kinds
+    )
     assert perturb_capture(folder_capture, CaptureEdit()) is folder_capture
 
 
@@ -115,7 +132,9 @@ def test_measured_depth_is_held_too(folder_capture):
         def depths(self, start, stop):
             yield from (np.full((2, 3), t + 1.0, np.float32) for t in range(start, stop))
 
-    with_depth = dataclasses.replace(folder_capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES))
+    with_depth = dataclasses.replace(
+        folder_capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES)
+    )
     depth = perturb_capture(with_depth, HELD).extras_of("cam01").depth
 
     assert isinstance(depth, PickedFrames)
@@ -125,7 +144,10 @@ def test_measured_depth_is_held_too(folder_capture):
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        (CaptureEdit(hold_frames=4, hold_frame=N_FRAMES), f"wanted frame {N_FRAMES} held still, the capture has {N_FRAMES}"),
+        (
+            CaptureEdit(hold_frames=4, hold_frame=N_FRAMES),
+            f"wanted frame {N_FRAMES} held still, the capture has {N_FRAMES}",
+        ),
         (CaptureEdit(hold_frame=1), "wanted hold_frames"),
         (CaptureEdit(hold_frames=-1), "hold_frames -1"),
         (CaptureEdit(sensor_noise_255=-0.5), "sensor_noise_255 -0.5"),
@@ -140,16 +162,22 @@ def test_what_cannot_be_is_refused(folder_capture, wanted, message):
 
 
 def test_noise_is_added_once(folder_capture):
-    """A noisy capture is not made noisy again: what a run records would no longer say what was done."""
+    """A noisy capture is not made noisy again: what a run records would no longer say what was
+    done.
+    """
     with pytest.raises(CaptureError, match="open it again"):
         perturb_capture(perturb_capture(folder_capture, HELD), HELD)
 
 
 def test_the_command_line_says_what_it_did(folder, capsys):
     """`--hold-frames 6 ...` gives these frames, and a note of them."""
-    opened = CaptureOptions(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7).open(folder)
+    opened = CaptureOptions(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7).open(
+        folder
+    )
 
-    np.testing.assert_array_equal(opened.frame("cam00", 5), perturb_capture(open_capture(folder), HELD).frame("cam00", 5))
+    np.testing.assert_array_equal(
+        opened.frame("cam00", 5), perturb_capture(open_capture(folder), HELD).frame("cam00", 5)
+    )
     assert "frame 2 held still for 6 instants, sensor noise of 1.5/255" in capsys.readouterr().err
 
 
@@ -171,10 +199,31 @@ def protocol(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_picks_up_the_same_frames_again(folder, protocol, tmp_path):
-    """A run prepared with held frames and noise, opened again from its folder alone, has the same cameras, frames and depth."""
-    arguments = ("--hold-frames", "2", "--hold-frame", "1", "--sensor-noise", "1.5", "--noise-seed", "3", "--jobs", "1")
+    """A run prepared with held frames and noise, opened again from its folder alone, has the same
+    cameras, frames and depth.
+    """
+    arguments = (
+        "--hold-frames",
+        "2",
+        "--hold-frame",
+        "1",
+        "--sensor-noise",
+        "1.5",
+        "--noise-seed",
+        "3",
+        "--jobs",
+        "1",
+    )
     run_command(
-        ["prepare", str(tmp_path / "run"), "--capture", str(folder), "--protocol", str(tmp_path / "protocol.toml"), *arguments]
+        [
+            "prepare",
+            str(tmp_path / "run"),
+            "--capture",
+            str(folder),
+            "--protocol",
+            str(tmp_path / "protocol.toml"),
+            *arguments,
+        ]
     )
     wanted = perturb_capture(open_capture(folder), CaptureEdit(2, 1, 1.5, 3))
     first = read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 1))
@@ -186,20 +235,31 @@ def test_a_run_picks_up_the_same_frames_again(folder, protocol, tmp_path):
     assert again.capture.edit == wanted.edit
     assert "noise" in read_json(tmp_path / "run" / "capture.json")["notes"][-1]
     np.testing.assert_array_equal(first, wanted.frame("cam00", 1))
-    np.testing.assert_array_equal(read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 1)), first)
+    np.testing.assert_array_equal(
+        read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 1)), first
+    )
     assert sorted((tmp_path / "run" / "depth").rglob("*.np*")) == depth
     with pytest.raises(ProtocolError, match="other frames"):
-        prepare(tmp_path / "run", perturb_capture(open_capture(folder), CaptureEdit(2, 1, 1.5, 4)), protocol)
+        prepare(
+            tmp_path / "run",
+            perturb_capture(open_capture(folder), CaptureEdit(2, 1, 1.5, 4)),
+            protocol,
+        )
 
 
 def test_the_true_path_is_left_away_where_it_shows_another_instant(folder, protocol, tmp_path):
-    """A path rendered at one instant is the truth where that is held still, and none where another is."""
+    """A path rendered at one instant is the truth where that is held still, and none where another
+    is.
+    """
     write_poses(folder / "path", make_rig())
     for pose in range(4):
         write_image(folder / "path" / "images" / f"{pose:04d}.png", make_image(pose, 2))
     (folder / "demo.json").write_text(json.dumps({"units_per_metre": 1.0, "path_time_s": 2 / 30}))
     capture = open_capture(folder)
-    there, elsewhere = (prepare(tmp_path / f"held{at}", perturb_capture(capture, CaptureEdit(2, at)), protocol) for at in (2, 1))
+    there, elsewhere = (
+        prepare(tmp_path / f"held{at}", perturb_capture(capture, CaptureEdit(2, at)), protocol)
+        for at in (2, 1)
+    )
 
     assert there.path_images is not None
     assert elsewhere.path_images is None

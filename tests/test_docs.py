@@ -1,4 +1,6 @@
-"""The pages: links of README and docs/ lead somewhere, what they name exists, and the README stays a front door."""
+"""The pages: links of README and docs/ lead somewhere, what they name exists, and the README stays
+a front door.
+"""
 
 import ast
 import importlib
@@ -24,15 +26,21 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
 ]
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-FILE = re.compile(r"(?<![\w./-])(?:ggvs_eval|baselines|metrics|pipelines|reports|tests|benchmarks|docs)/[\w./-]*\w")
+FILE = re.compile(
+    r"(?<![\w./-])(?:ggvs_eval|baselines|metrics|pipelines|reports|tests|benchmarks|docs)/[\w./-]*\w"
+)
 MODULE = re.compile(r"\bggvs_eval(?:\.\w+)+")
 
-pytestmark = pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="an installed wheel has no pages; a checkout has")
+pytestmark = pytest.mark.skipif(
+    not (ROOT / "docs").is_dir(), reason="an installed wheel has no pages; a checkout has"
+)
 
 
 def prose(page: Path) -> str:
     """A page without its blocks of code."""
-    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(
+        r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
 
 
 def anchors(page: Path) -> set[str]:
@@ -57,23 +65,31 @@ def source_of(module: str) -> Path | None:
     parts = module.split(".")[1:]
     folder = ROOT if parts and (ROOT / parts[0] / "__init__.py").is_file() else ROOT / "ggvs_eval"
     stem = folder.joinpath(*parts)
-    return next((file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()), None)
+    return next(
+        (file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()), None
+    )
 
 
 def is_defined(name: str) -> bool:
     """Whether a dotted name is a module, or a word of one."""
     module, _, word = name.rpartition(".")
-    return bool(source_of(name)) or bool((file := source_of(module)) and re.search(rf"\b{word}\b", file.read_text("utf-8")))
+    return bool(source_of(name)) or bool(
+        (file := source_of(module)) and re.search(rf"\b{word}\b", file.read_text("utf-8"))
+    )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_what_a_page_names_exists(page):
-    """Links to files and headings, of docs/ within docs/ alone; paths of the repository; modules, and words of them."""
+    """Links to files and headings, of docs/ within docs/ alone; paths of the repository; modules,
+    and words of them.
+    """
     text = page.read_text(encoding="utf-8")
     assert list(dead_links(page)) == []
     if page.parent.name == "docs":
         assert [target for target in LINK.findall(prose(page)) if target.startswith("..")] == []
-    assert [name for name in FILE.findall(text) if not (ROOT / name.replace("METHOD", "fwd")).exists()] == []
+    assert [
+        name for name in FILE.findall(text) if not (ROOT / name.replace("METHOD", "fwd")).exists()
+    ] == []
     named = set(MODULE.findall(text)) - {f"ggvs_eval.{kind}" for kind in get_args(plugins.Kind)}
     assert [name for name in sorted(named) if not is_defined(name)] == []
 
@@ -89,14 +105,24 @@ def test_the_readme_is_a_front_door():
 
 
 def test_every_page_is_in_the_site():
-    """Each page of docs/ is in the navigation of the site, which makes those of the command line and of rooms itself."""
-    listed = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    """Each page of docs/ is in the navigation of the site, which makes those of the command line
+    and of rooms itself.
+    """
+    listed = re.findall(
+        r"^ +- [^:]+: (\S+\.md)$",
+        (ROOT / "mkdocs.yml").read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
+    )
 
-    assert sorted(listed) == sorted(["cli.md", "rooms.md", *(page.name for page in (ROOT / "docs").glob("*.md"))])
+    assert sorted(listed) == sorted(
+        ["cli.md", "rooms.md", *(page.name for page in (ROOT / "docs").glob("*.md"))]
+    )
 
 
 def test_the_protocols_keys_are_those_of_the_code():
-    """Every key of a protocol is listed with its default and meaning; `python tools/docs/describe_code.py` writes them."""
+    """Every key of a protocol is listed with its default and meaning; `python
+    tools/docs/describe_code.py` writes them.
+    """
     page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
     sys.path.insert(0, str(ROOT / "tools" / "docs"))
     import describe_code
@@ -114,11 +140,17 @@ def test_the_example_of_a_protocol_is_one(tmp_path):
         (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     assert load_protocol(tmp_path / "mine.toml").views.test == ("cam02", "cam05")
     studio = load_protocol(tmp_path / "studio.toml")
-    assert (studio.dataset, studio.frames.count, studio.measurement.lpips_net) == ("Studio, take 3", 120, "alex")
+    assert (studio.dataset, studio.frames.count, studio.measurement.lpips_net) == (
+        "Studio, take 3",
+        120,
+        "alex",
+    )
 
 
 def test_the_architecture_is_that_of_the_tree():
-    """The files that it names exist, and every room has a line that the site's page of rooms can show."""
+    """The files that it names exist, and every room has a line that the site's page of rooms can
+    show.
+    """
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     sys.path.insert(0, str(ROOT / "tools" / "docs"))
     import describe_code
@@ -132,11 +164,20 @@ def test_the_architecture_is_that_of_the_tree():
 
 
 def test_the_notebook_is_code_of_today():
-    """Each cell compiles and what it imports exists; `make docs` runs it, and an error in it is one of the site."""
+    """Each cell compiles and what it imports exists; `make docs` runs it, and an error in it is one
+    of the site.
+    """
     cells = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
     trees = [ast.parse("".join(cell["source"])) for cell in cells if cell["cell_type"] == "code"]
-    imports = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    named = [(node.module, alias.name) for node in imports for alias in node.names if node.module.startswith("ggvs_eval")]
+    imports = [
+        node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+    ]
+    named = [
+        (node.module, alias.name)
+        for node in imports
+        for alias in node.names
+        if node.module.startswith("ggvs_eval")
+    ]
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
 
     assert [name for name in named if not hasattr(importlib.import_module(name[0]), name[1])] == []

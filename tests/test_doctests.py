@@ -11,7 +11,11 @@ from helpers.import_graph import modules
 def with_examples() -> list[str]:
     """Names of all modules of the package whose docstrings show an example."""
     files = sorted(modules().items())
-    return [f"ggvs_eval.{name}".rstrip(".") for name, file in files if ">>> " in file.read_text(encoding="utf-8")]
+    return [
+        f"ggvs_eval.{name}".rstrip(".")
+        for name, file in files
+        if ">>> " in file.read_text(encoding="utf-8")
+    ]
 
 
 MODULES = with_examples()
@@ -28,6 +32,14 @@ def test_examples_hold(name):
 
 def test_the_foundations_have_examples():
     """What a newcomer calls first shows how it is called."""
-    first = ("camera", "datasets", "files.images", "geometry.splat", "geometry.warp", "pipelines.play.synthesizer", "protocol")
+    first = (
+        "camera",
+        "datasets",
+        "files.images",
+        "geometry.splat",
+        "geometry.warp",
+        "pipelines.play.synthesizer",
+        "protocol",
+    )
 
     assert {f"ggvs_eval.{name}" for name in first} <= set(MODULES)

@@ -1,4 +1,6 @@
-"""Metrics, methods and layouts of plug-ins that fail: each costs what it was to give and is named, and nothing else changes."""
+"""Metrics, methods and layouts of plug-ins that fail: each costs what it was to give and is named,
+and nothing else changes.
+"""
 
 import os
 import pickle
@@ -35,7 +37,8 @@ FAILS = {
     "return np.zeros(3)": "",
     "return None": "None",
     "return float('nan')": "nan",
-    "measured.n = getattr(measured, 'n', 0) + 1; return 1.0 if measured.n < 3 else 1 / 0": "ZeroDivisionError",
+    "measured.n = getattr(measured, 'n', 0) + 1; return 1.0 if measured.n < 3 else 1 / "
+    "0": "ZeroDivisionError",
     "raise MemoryError": "MemoryError",
     "raise BaseException('no such luck')": "BaseException: no such luck",
     "raise type('Mute', (Exception,), {'__str__': lambda self: 1 / 0})": "Mute, without a text",
@@ -57,7 +60,7 @@ def measured(r, t):
 
 METRICS = {{"X": ViewMetric(name="X", kind="frame", function=measured, higher_is_better=True, group=QUALITY, describe="x",
                            reference="x")}}
-"""
+"""  # noqa: E501
 METHOD = """
 import numpy as np
 from ggvs_eval.method import Rendering
@@ -167,7 +170,9 @@ def frames() -> list[tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize(("body", "reason"), FAILS.items())
 def test_a_metric_that_fails_costs_itself(offer, body, reason):
-    """At the first frame or at a later one, also by ending its process: it has a reason, every other value stays."""
+    """At the first frame or at a later one, also by ending its process: it has a reason, every
+    other value stays.
+    """
     offer(METRIC.format(body=body))
     names = ["X", "PSNR", "PSNR_moving", "TCC", "STED"]
     with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
@@ -181,12 +186,18 @@ def test_a_metric_that_fails_costs_itself(offer, body, reason):
 @pytest.mark.parametrize("write", WRITES)
 def test_a_metric_that_writes_into_frames_has_copies(offer, write):
     """No other value changes, whatever it goes around."""
-    offer(METRIC.format(body=f"{write.format('t')}; {write.format('r')}; import os; os.chdir('/'); return 1.0"))
+    offer(
+        METRIC.format(
+            body=f"{write.format('t')}; {write.format('r')}; import os; os.chdir('/'); return 1.0"
+        )
+    )
     names = ["X", "PSNR", "PSNR_moving", "TCC", "STED"]
     with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
 
     assert [value for value in with_it.values if value[0] != "X"] == without.values
-    assert [value for value in with_it.values if value[0] == "X"] == [("X", frame, 1.0) for frame in range(3)]
+    assert [value for value in with_it.values if value[0] == "X"] == [
+        ("X", frame, 1.0) for frame in range(3)
+    ]
 
 
 def test_a_metric_that_hangs_costs_itself(offer, monkeypatch):
@@ -199,7 +210,9 @@ def test_a_metric_that_hangs_costs_itself(offer, monkeypatch):
 
 
 def test_a_copy_of_the_process_gives_no_answers(offer):
-    """A metric that forks has the values of the process that was asked; the copy ends where it would answer too."""
+    """A metric that forks has the values of the process that was asked; the copy ends where it
+    would answer too.
+    """
     offer(METRIC.format(body="import os; return 1.0 if os.fork() else 2.0"))
     assert score_view(frames(), ["X"]).values == [("X", frame, 1.0) for frame in range(3)]
 
@@ -219,9 +232,14 @@ METRICS["X"] = __import__("dataclasses").replace(METRICS["X"], scorer={scorer})
 
 @pytest.mark.parametrize(("scorer", "lost"), [("Scorer", [0, 1]), ("None", [0])])
 def test_a_process_that_ends_costs_what_it_was_measuring(offer, scorer, lost):
-    """A metric that gathers frames is lost for all renderings; one of single frames is for the rendering that it ended at."""
+    """A metric that gathers frames is lost for all renderings; one of single frames is for the
+    rendering that it ended at.
+    """
     body = "import os; return os._exit(3) if r.max() == 1 else 1.0"
-    offer(METRIC.format(body=body) + SCORER.format(values="[('X', index, measured(rendered, truth.image))]", scorer=scorer))
+    offer(
+        METRIC.format(body=body)
+        + SCORER.format(values="[('X', index, measured(rendered, truth.image))]", scorer=scorer)
+    )
     levels = [np.full((8, 8, 3), level, np.uint8) for level in (0, 1, 2)]
 
     scores = score_views([((level, levels[0]), levels[2]) for level in levels], ["X", "L1"])
@@ -231,9 +249,13 @@ def test_a_process_that_ends_costs_what_it_was_measuring(offer, scorer, lost):
     assert [value for _, _, value in scores[0].values] == [2, 1, 0]
 
 
-@pytest.mark.parametrize("values", ["[('PSNR', index, 1.0)]", "[('X', index + 1, 1.0)]", "[('X', 1.0)]"])
+@pytest.mark.parametrize(
+    "values", ["[('PSNR', index, 1.0)]", "[('X', index + 1, 1.0)]", "[('X', 1.0)]"]
+)
 def test_a_metric_gives_values_of_its_own(offer, values):
-    """Values under another's name, of a frame that is not there, or without a place are a reason."""
+    """Values under another's name, of a frame that is not there, or without a place are a
+    reason.
+    """
     offer(METRIC.format(body="pass") + SCORER.format(values=values, scorer="Scorer"))
     with_it, without = score_view(frames(), ["X", "PSNR"]), score_view(frames(), ["PSNR"])
     assert with_it.values == without.values
@@ -256,19 +278,29 @@ METRICS = {{
 
 def poses() -> list[PathPose]:
     cameras = [camera_at(0.0), camera_at(0.1)]
-    return [PathPose(camera, np.zeros((camera.height, camera.width, 3), np.uint8)) for camera in cameras]
+    return [
+        PathPose(camera, np.zeros((camera.height, camera.width, 3), np.uint8)) for camera in cameras
+    ]
 
 
 def test_a_metric_of_values_or_of_a_path_has_its_process_too(offer):
     """What is no number or ends the process is a reason, every other value stays."""
-    offer(TABLE_AND_PATH.format(rows="[('', -1, len(values['']))]", values="[('P', None, path.rows[0])]"))
+    offer(
+        TABLE_AND_PATH.format(
+            rows="[('', -1, len(values['']))]", values="[('P', None, path.rows[0])]"
+        )
+    )
     assert ("T", None, 3.0) in score_view(frames(), ["L1", "T"]).values
     assert score_path(poses(), ["P"]).values[-1][0] == "P"
 
 
 def test_a_metric_of_values_or_of_a_path_that_fails_costs_itself(offer):
     """As one of frames."""
-    offer(TABLE_AND_PATH.format(rows="__import__('os')._exit(3)", values="[('reprojection', None, 1.0)]"))
+    offer(
+        TABLE_AND_PATH.format(
+            rows="__import__('os')._exit(3)", values="[('reprojection', None, 1.0)]"
+        )
+    )
     table, along = score_view(frames(), ["L1", "T"]), score_path(poses(), ["P"])
     assert "ended with status 3" in table.not_computed["T"]
     assert len(table.values) == 3
@@ -289,7 +321,10 @@ def test_a_metric_that_works_is_a_number(offer):
     [
         ("raise ValueError('no such luck')", "ValueError: no such luck"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
-        ("from ggvs_eval.errors import RenderError; raise RenderError('no such luck')", "RenderError: no such luck"),
+        (
+            "from ggvs_eval.errors import RenderError; raise RenderError('no such luck')",
+            "RenderError: no such luck",
+        ),
         ("return 'abc'", "wanted a Rendering with an image, got str"),
         ("return Rendering('abc')", "wanted a Rendering with an image, got str"),
         (f"return Rendering({PICTURE}[:-1])", "wanted an image of floats"),
@@ -301,7 +336,9 @@ def test_a_metric_that_works_is_a_number(offer):
     ],
 )
 def test_a_method_that_fails_refuses_the_view(offer, body, reason):
-    """Whatever goes wrong in a step is a refused view that names method and instant; what it was shown is unchanged."""
+    """Whatever goes wrong in a step is a refused view that names method and instant; what it was
+    shown is unchanged.
+    """
     offer(METHOD.format(body=body))
     seen = instant(7, camera_at(0.0, name="target"), [camera_at(0.1)])
     before, folder = pickle.dumps(seen), os.getcwd()
@@ -315,12 +352,17 @@ def test_a_method_that_fails_refuses_the_view(offer, body, reason):
 
 def test_a_method_that_cannot_be_made_is_one_line(offer):
     """Its constructor's exception is a line with its name."""
-    offer(METHOD.format(body="pass").replace("def step", "def __init__(self):\n        1 / 0\n    def step"))
+    offer(
+        METHOD.format(body="pass").replace(
+            "def step", "def __init__(self):\n        1 / 0\n    def step"
+        )
+    )
     with refused(RenderError, "method mine: cannot be made", "ZeroDivisionError"):
         METHODS["mine"].require()
 
 
-# Part of a fitted method -> what it does there, and where the method is shown all the same, and why not elsewhere.
+# Part of a fitted method -> what it does there, and where the method is shown all the same, and why
+# not elsewhere.
 IN_RUNS = {
     "fit1": (
         "fit",
@@ -337,23 +379,56 @@ IN_RUNS = {
     "fit3": ("fit", "import sys; sys.exit(3)", "", "fit fit3, fold1 (SystemExit: 3"),
     "load1": ("load", "return 5", "", "fit load1, fold1 (AttributeError"),
     "size1": ("size_bytes", "return 'big'", "", "fit size1, fold1 (TypeError"),
-    "show1": ("render", "1 / (target.name != 'cam00'); return picture(target)", "cam01", "failed at instant 0 (Zero"),
+    "show1": (
+        "render",
+        "1 / (target.name != 'cam00'); return picture(target)",
+        "cam01",
+        "failed at instant 0 (Zero",
+    ),
     "show2": ("render", "return 'abc'", "", "wanted a Rendering with an image, got str"),
-    "show3": ("render", "return Rendering(np.full((3, 3, 3), 0.5, np.float32))", "", "wanted an image of floats"),
-    "show4": ("render", "return picture(target, seconds={'a': 'b'})", "", "failed at instant 0 (TypeError"),
-    "show5": ("render", "return picture(target, diagnostics={'mine': 3})", "", "its diagnostics of frame 0 are none (KeyError"),
+    "show3": (
+        "render",
+        "return Rendering(np.full((3, 3, 3), 0.5, np.float32))",
+        "",
+        "wanted an image of floats",
+    ),
+    "show4": (
+        "render",
+        "return picture(target, seconds={'a': 'b'})",
+        "",
+        "failed at instant 0 (TypeError",
+    ),
+    "show5": (
+        "render",
+        "return picture(target, diagnostics={'mine': 3})",
+        "",
+        "its diagnostics of frame 0 are none (KeyError",
+    ),
 }
 
 
 @pytest.mark.slow
 def test_a_run_goes_on_without_what_failed(offer, tmp_path, small_capture):
-    """A metric that fails costs itself, a method, made or fitted, the views that it was to show; all others have their values."""
-    body = f"if instant.target.name == 'cam01': raise ValueError('not this one')\n        return Rendering({PICTURE})"
+    """A metric that fails costs itself, a method, made or fitted, the views that it was to show;
+    all others have their values.
+    """
+    body = (
+        f"if instant.target.name == 'cam01': raise ValueError('not this one')\n        return "
+        f"Rendering({PICTURE})"
+    )
     text = METRIC.format(body="raise KeyError('depth')") + METHOD.format(body=body)
-    offer(text + "".join(FITTED.format(**WORKS | {"name": name, where: body}) for name, (where, body, *_) in IN_RUNS.items()))
+    offer(
+        text
+        + "".join(
+            FITTED.format(**WORKS | {"name": name, where: body})
+            for name, (where, body, *_) in IN_RUNS.items()
+        )
+    )
     protocol = small_protocol(2, 0, ("PSNR", "X"))
     protocol = replace(protocol, views=replace(protocol.views, folds=(("cam00",), ("cam01",))))
-    request = RunRequest(tmp_path / "run", small_capture, protocol, ("no-blending", "mine", *IN_RUNS))
+    request = RunRequest(
+        tmp_path / "run", small_capture, protocol, ("no-blending", "mine", *IN_RUNS)
+    )
 
     results = measure(plan_run(request), 1)
 
@@ -373,12 +448,17 @@ def test_a_run_goes_on_without_what_failed(offer, tmp_path, small_capture):
 def test_a_method_that_ends_its_process_is_named(offer, tmp_path, small_capture):
     """Also where its view is the only thing that is left to do."""
     offer(METHOD.format(body="import os; os._exit(3)"))
-    request = RunRequest(tmp_path / "run", small_capture, small_protocol(2, 0, ("PSNR",)), ("mine",))
+    request = RunRequest(
+        tmp_path / "run", small_capture, small_protocol(2, 0, ("PSNR",)), ("mine",)
+    )
     with refused(RenderError, "mine in cam00: its process ended", "status 3"):
         measure(plan_run(request), 2)
 
 
-@pytest.mark.parametrize("depth", ["raise ValueError('no such luck')", "return 'abc'", "return [7]", "import sys; sys.exit(3)"])
+@pytest.mark.parametrize(
+    "depth",
+    ["raise ValueError('no such luck')", "return 'abc'", "return [7]", "import sys; sys.exit(3)"],
+)
 def test_a_fitted_method_that_cannot_be_planned_is_one_line(offer, depth):
     """Instants that it wants depth of and that are none are refused before anything is done."""
     offer(FITTED.format(**WORKS | {"depth": depth}))
@@ -386,9 +466,13 @@ def test_a_fitted_method_that_cannot_be_planned_is_one_line(offer, depth):
         plan_fits({"mine": METHODS["mine"]}, [FoldPlan("fold1", ("cam00",), ())], range(2), 0)
 
 
-@pytest.mark.parametrize("refuse", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"])
+@pytest.mark.parametrize(
+    "refuse", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"]
+)
 def test_a_layout_that_fails_to_look_is_passed_over(offer, tmp_path, refuse):
-    """Captures of other layouts are found as before, and where none fits its reason stands among the others'."""
+    """Captures of other layouts are found as before, and where none fits its reason stands among
+    the others'.
+    """
     offer(LAYOUT.format(refuse=refuse, load="pass"))
     (tmp_path / "capture").mkdir()
     (tmp_path / "capture" / "x").touch()
@@ -396,7 +480,9 @@ def test_a_layout_that_fails_to_look_is_passed_over(offer, tmp_path, refuse):
         detect_layout(tmp_path / "capture")
 
 
-@pytest.mark.parametrize("load", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"])
+@pytest.mark.parametrize(
+    "load", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"]
+)
 def test_a_layout_that_fails_to_load_is_one_line(offer, tmp_path, load):
     """The capture and the layout are named, with the reason."""
     offer(LAYOUT.format(refuse="return None", load=load))

@@ -9,20 +9,35 @@ import pytest
 
 from ggvs_eval import install
 
-pytestmark = pytest.mark.skipif(shutil.which("apt-get") is None, reason="Debian's package manager is not on this machine")
+pytestmark = pytest.mark.skipif(
+    shutil.which("apt-get") is None, reason="Debian's package manager is not on this machine"
+)
 
 
 @pytest.fixture
 def update(tmp_path, monkeypatch):
-    """Arguments with which apt-get updates lists of its own, from no source, and the file that locks them."""
+    """Arguments with which apt-get updates lists of its own, from no source, and the file that
+    locks them.
+    """
     (tmp_path / "partial").mkdir()
     monkeypatch.setattr(install, "LOCK_POLL_S", 0.1)
-    places = {"State::lists": tmp_path, "Etc::sourcelist": "/dev/null", "Etc::sourceparts": "/dev/null", "Cache": tmp_path}
-    return ["update", "-q", *(f"-oDir::{name}={place}" for name, place in places.items())], tmp_path / "lock"
+    places = {
+        "State::lists": tmp_path,
+        "Etc::sourcelist": "/dev/null",
+        "Etc::sourceparts": "/dev/null",
+        "Cache": tmp_path,
+    }
+    return [
+        "update",
+        "-q",
+        *(f"-oDir::{name}={place}" for name, place in places.items()),
+    ], tmp_path / "lock"
 
 
 def test_a_lock_is_waited_for(update):
-    """While another process holds the lists, apt-get is asked again; as soon as it lets go, the update is done."""
+    """While another process holds the lists, apt-get is asked again; as soon as it lets go, the
+    update is done.
+    """
     words, lock = update
     with lock.open("w") as held:
         fcntl.lockf(held, fcntl.LOCK_EX)

@@ -1,4 +1,6 @@
-"""A test that takes long fails by name; a slow one may take fifteen times as long, a proof as long as it wants."""
+"""A test that takes long fails by name; a slow one may take fifteen times as long, a proof as long
+as it wants.
+"""
 
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -16,9 +18,13 @@ def finish(steps: Iterator[object]) -> None:
 
 
 def run(test_s: float, marker: str = "", **fixture_s: float) -> list[str]:
-    """Let the limits time a test that takes what is said, on a machine that is half as fast again; return what they note."""
+    """Let the limits time a test that takes what is said, on a machine that is half as fast again;
+    return what they note.
+    """
     limits, clock = TimeLimits(), SimpleNamespace(now_s=0.0)
-    item = SimpleNamespace(nodeid="test_it", get_closest_marker=lambda name: name == marker or None, user_properties=[])
+    item = SimpleNamespace(
+        nodeid="test_it", get_closest_marker=lambda name: name == marker or None, user_properties=[]
+    )
     with pytest.MonkeyPatch.context() as patch:  # not while the tests of this file are timed
         patch.setattr(time_limits, "_used_s", lambda: clock.now_s)
         patch.setattr(time_limits, "_slowness", lambda: 1.5)
@@ -38,10 +44,19 @@ def run(test_s: float, marker: str = "", **fixture_s: float) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "marker"), [({}, ""), ({"room": 2.9}, ""), ({"whole_run": 29.0}, ""), ({"room": 99.0}, "slow"), ({}, "proof")]
+    ("seconds", "marker"),
+    [
+        ({}, ""),
+        ({"room": 2.9}, ""),
+        ({"whole_run": 29.0}, ""),
+        ({"room": 99.0}, "slow"),
+        ({}, "proof"),
+    ],
 )
 def test_what_a_test_may_take(seconds, marker):
-    """A second, fifteen of a slow one; two of a fixture, twenty of the whole run, by this machine's own speed."""
+    """A second, fifteen of a slow one; two of a fixture, twenty of the whole run, by this machine's
+    own speed.
+    """
     assert not run({"": 1.4, "slow": 22.4, "proof": 99.0}[marker], marker, **seconds)
 
 
@@ -51,11 +66,18 @@ def test_what_a_test_may_take(seconds, marker):
         (1.6, "", {"room": 2.0}, "test_it took 1.6 s of a core, wanted 1 at most"),
         (23.0, "slow", {}, "test_it took 23.0 s of a core, wanted 15 at most"),
         (0.1, "", {"room": 3.1}, "fixture room of test_it took 3.1 s of a core, wanted 2 at most"),
-        (0.1, "", {"whole_run": 31.0}, "fixture whole_run of test_it took 31.0 s of a core, wanted 20 at most"),
+        (
+            0.1,
+            "",
+            {"whole_run": 31.0},
+            "fixture whole_run of test_it took 31.0 s of a core, wanted 20 at most",
+        ),
     ],
 )
 def test_a_long_test_is_named(test_s, marker, fixture_s, message):
-    """The test itself, or the fixture that it was the first to need: listed, and from twice the limit refused."""
+    """The test itself, or the fixture that it was the first to need: listed, and from twice the
+    limit refused.
+    """
     [note] = run(test_s, marker, **fixture_s)
     assert message in note
     twice = {name: 2 * seconds for name, seconds in fixture_s.items()}

@@ -1,4 +1,6 @@
-"""Plug-ins: packages and files with metrics, methods and layouts of their own run as ours do, and broken ones are one line."""
+"""Plug-ins: packages and files with metrics, methods and layouts of their own run as ours do, and
+broken ones are one line.
+"""
 
 import json
 import os
@@ -29,7 +31,9 @@ from helpers.small_runs import small_protocol, write_small_capture
 
 EXAMPLE = ROOT / "examples" / "plugin"
 PAGE = ROOT / "docs" / "extending.md"
-in_checkout = pytest.mark.skipif(not EXAMPLE.is_dir(), reason="no examples/ beside an installed wheel")
+in_checkout = pytest.mark.skipif(
+    not EXAMPLE.is_dir(), reason="no examples/ beside an installed wheel"
+)
 METRIC = """
 import numpy as np
 from ggvs_eval.metrics.metric import QUALITY, ViewMetric
@@ -39,7 +43,7 @@ def worst(rendered, truth):
 
 METRICS = {"Worst": ViewMetric(name="Worst", kind="frame", function=worst, higher_is_better=False, group=QUALITY,
                                describe="largest error", reference="a test")}
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +66,9 @@ def offer(monkeypatch, kind: str, **entries: str) -> None:
     """Pretend that an installed package has these entry points."""
     group = f"ggvs_eval.{kind}"
     found = [EntryPoint(name, value, group) for name, value in entries.items()]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [each for each in found if each.group == group])
+    monkeypatch.setattr(
+        plugins, "entry_points", lambda group: [each for each in found if each.group == group]
+    )
     plugins._offered.cache_clear()
 
 
@@ -73,7 +79,9 @@ def number(name: str, value: object) -> int:
 
 
 def test_ours_and_theirs_are_one_mapping(monkeypatch, capsys):
-    """Names of both, in this order; theirs are imported when they are asked for; a name that is taken keeps what it means."""
+    """Names of both, in this order; theirs are imported when they are asked for; a name that is
+    taken keeps what it means.
+    """
     offer(monkeypatch, "metrics", two="sys:maxsize", broken="no_such_module:x")
     registry = Registry("metrics", {"one": 1}, number)
     assert list(registry) == ["one", "broken", "two"]
@@ -90,10 +98,16 @@ def test_ours_and_theirs_are_one_mapping(monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("value", "reason"),
-    [("no_such_module:x", "ModuleNotFoundError"), ("os:path", "wanted an int, got module"), ("os:nix", "nix")],
+    [
+        ("no_such_module:x", "ModuleNotFoundError"),
+        ("os:path", "wanted an int, got module"),
+        ("os:nix", "nix"),
+    ],
 )
 def test_a_broken_plugin_is_one_line(monkeypatch, capsys, value, reason):
-    """It names where it comes from, the reason and the mend; where all are tried it is passed over, and said once."""
+    """It names where it comes from, the reason and the mend; where all are tried it is passed over,
+    and said once.
+    """
     offer(monkeypatch, "metrics", broken=value, two="sys:maxsize")
     registry = Registry("metrics", {"one": 1}, number)
     with pytest.raises(PluginError, match=reason) as caught:
@@ -125,7 +139,10 @@ def test_a_change_of_a_plugin_is_a_change_of_its_jobs(tmp_path):
     """The identity of what it makes follows its source; that of ours does not."""
     (tmp_path / "mine.py").write_text(METRIC)
     use_file(tmp_path / "mine.py")
-    ours, before = code_of("ggvs_eval.metrics.image.psnr"), code_of("mine", "ggvs_eval.metrics.image.psnr")
+    ours, before = (
+        code_of("ggvs_eval.metrics.image.psnr"),
+        code_of("mine", "ggvs_eval.metrics.image.psnr"),
+    )
     (tmp_path / "mine.py").write_text(METRIC.replace("max()", "max() + 1"))
     assert code_of("mine", "ggvs_eval.metrics.image.psnr") != before
     assert code_of("ggvs_eval.metrics.image.psnr") == ours
@@ -133,7 +150,9 @@ def test_a_change_of_a_plugin_is_a_change_of_its_jobs(tmp_path):
 
 def test_a_method_is_named_by_its_module(tmp_path, monkeypatch):
     """``module:name`` of the working folder is a method; a name that is not there is one line."""
-    (tmp_path / "my_method.py").write_text("class Mine:\n    '''Mine, a method.'''\n    def step(self, instant): ...\n")
+    (tmp_path / "my_method.py").write_text(
+        "class Mine:\n    '''Mine, a method.'''\n    def step(self, instant): ...\n"
+    )
     monkeypatch.chdir(tmp_path)
     assert find_method("my_method:Mine").describe == "Mine, a method."
     with pytest.raises(PluginError, match="my_method:Other"):
@@ -147,13 +166,23 @@ def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
     capture = write_small_capture(tmp_path / "room", 2)
     (tmp_path / "mine.py").write_text(METRIC)
     (tmp_path / "p.toml").write_text(small_protocol(2, 0, ("PSNR", "Worst")).to_toml())
-    words = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml")]
-    run_command([*words, "--methods", "no-blending", "--jobs", "2", "--plugin", str(tmp_path / "mine.py")])
+    words = [
+        "run",
+        str(tmp_path / "run"),
+        "--capture",
+        str(capture.path),
+        "--protocol",
+        str(tmp_path / "p.toml"),
+    ]
+    run_command(
+        [*words, "--methods", "no-blending", "--jobs", "2", "--plugin", str(tmp_path / "mine.py")]
+    )
     results = Results.read(tmp_path / "run")
     run = RunFolder(tmp_path / "run")
     worst = results.table[results.table.metric == "Worst"].set_index(["view", "frame"]).value
     rendered, truth = (
-        read_image(frame_path(folder, 0)).astype(int) for folder in (run.renders("no-blending", "cam00"), run.truth("cam00"))
+        read_image(frame_path(folder, 0)).astype(int)
+        for folder in (run.renders("no-blending", "cam00"), run.truth("cam00"))
     )
     assert worst["cam00", 0] == np.abs(rendered - truth).max()
     assert results.provenance["plugins"] == {"Worst": str(tmp_path / "mine.py")}
@@ -174,17 +203,39 @@ METHODS = {{"inverse": InverseDistance, "nearest": NearestView}}
 @in_checkout
 @pytest.mark.usefixtures("no_figures")
 def test_the_example_methods_render_and_are_timed(tmp_path):
-    """Blending of one's own on GGVS's splats lies between the nearest picture and GGVS; a method without times has one."""
+    """Blending of one's own on GGVS's splats lies between the nearest picture and GGVS; a method
+    without times has one.
+    """
     capture = write_small_capture(tmp_path / "room", 2)
     (tmp_path / "mine.py").write_text(OWN_METHODS.format(folder=str(EXAMPLE)))
     (tmp_path / "p.toml").write_text(small_protocol(2, 0, ("PSNR",)).to_toml())
-    words = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml")]
+    words = [
+        "run",
+        str(tmp_path / "run"),
+        "--capture",
+        str(capture.path),
+        "--protocol",
+        str(tmp_path / "p.toml"),
+    ]
     run_command(
-        [*words, "--methods", "ours-geometric", "inverse", "nearest", "--jobs", "1", "--plugin", str(tmp_path / "mine.py")]
+        [
+            *words,
+            "--methods",
+            "ours-geometric",
+            "inverse",
+            "nearest",
+            "--jobs",
+            "1",
+            "--plugin",
+            str(tmp_path / "mine.py"),
+        ]
     )
     psnr_db = Results.read(tmp_path / "run").table.groupby("method").value.mean()
     run = RunFolder(tmp_path / "run")
-    seconds = {label: read_json(run.renders(label, "cam00") / "job.json")["seconds"] for label in ("inverse", "nearest")}
+    seconds = {
+        label: read_json(run.renders(label, "cam00") / "job.json")["seconds"]
+        for label in ("inverse", "nearest")
+    }
 
     assert psnr_db["nearest"] < psnr_db["inverse"] < psnr_db["ours-geometric"]
     assert list(seconds["inverse"]) == ["filter", "splat", "tsdf", "blend"]
@@ -209,7 +260,9 @@ def write_rig(folder: Path, source: Path) -> None:
     folder.mkdir()
     rig = {}
     for camera in capture.cameras:
-        write_video(folder / f"{camera.name}.mp4", list(capture.frames(camera.name, 0, 2)), 30.0, crf=0)
+        write_video(
+            folder / f"{camera.name}.mp4", list(capture.frames(camera.name, 0, 2)), 30.0, crf=0
+        )
         pose = {"K": camera.K.tolist(), "world_to_camera": camera.world_to_camera.tolist()}
         rig[camera.name] = pose | {"near": camera.near, "far": camera.far}
     (folder / "rig.json").write_text(json.dumps(rig))
@@ -218,7 +271,9 @@ def write_rig(folder: Path, source: Path) -> None:
 @pytest.mark.proof
 @in_checkout
 def test_the_example_package_is_installed_and_runs(tmp_path):
-    """In an environment of its own: its layout opens, its method renders, its metric has values, column, interval and record."""
+    """In an environment of its own: its layout opens, its method renders, its metric has values,
+    column, interval and record.
+    """
     write_rig(tmp_path / "rig", write_small_capture(tmp_path / "room", 2).path)
     (tmp_path / "p.toml").write_text(small_protocol(2, 0, ("PSNR", "P99")).to_toml())
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
@@ -226,7 +281,18 @@ def test_the_example_package_is_installed_and_runs(tmp_path):
     purelib = sysconfig.get_path("purelib")
     (site / "dependencies.pth").write_text(f"import site; site.addsitedir({purelib!r})\n")
     environment = {name: value for name, value in os.environ.items() if name != FILES}
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", site, EXAMPLE]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "--target",
+        site,
+        EXAMPLE,
+    ]
     subprocess.run(pip, check=True, env=environment, capture_output=True)
 
     def called(*words: object) -> str:
@@ -236,12 +302,25 @@ def test_the_example_package_is_installed_and_runs(tmp_path):
         return done.stdout
 
     run = tmp_path / "run"
-    words = ("--capture", tmp_path / "rig", "--protocol", tmp_path / "p.toml", "--methods", "no-blending", "nearest-view")
+    words = (
+        "--capture",
+        tmp_path / "rig",
+        "--protocol",
+        tmp_path / "p.toml",
+        "--methods",
+        "no-blending",
+        "nearest-view",
+    )
     called("run", run, *words, "--jobs", 1)
     results = Results.read(run)
-    values = results.table[(results.table.metric == "P99") & (results.table.method == "nearest-view")]
+    values = results.table[
+        (results.table.metric == "P99") & (results.table.method == "nearest-view")
+    ]
     assert len(values) == 2 * 2
-    assert results.provenance["plugins"] == {"P99": "ggvs-eval-example 1.0", "nearest-view": "ggvs-eval-example 1.0"}
+    assert results.provenance["plugins"] == {
+        "P99": "ggvs-eval-example 1.0",
+        "nearest-view": "ggvs-eval-example 1.0",
+    }
     assert read_json(run / "capture.json")["layout"] == "rig-json"
     tables = (run / "report" / "tables.md").read_text(encoding="utf-8")
     assert re.search(r"\| *P99", tables)

@@ -1,4 +1,6 @@
-"""The files of a release follow from the package: conda recipe, Croissant description, lock file, paper."""
+"""The files of a release follow from the package: conda recipe, Croissant description, lock file,
+paper.
+"""
 
 import re
 import sys
@@ -30,7 +32,9 @@ def required() -> list[Requirement]:
 
 
 def test_recipe_and_data_set_are_those_of_the_sources():
-    """`python tools/release/release_files.py` writes both; a changed requirement or demo file makes them old."""
+    """`python tools/release/release_files.py` writes both; a changed requirement or demo file makes
+    them old.
+    """
     assert release_files.RECIPE.read_text("utf-8") == release_files.recipe_text()
     assert release_files.CROISSANT.read_text("utf-8") == release_files.croissant_text()
 
@@ -51,18 +55,29 @@ def test_the_lock_has_a_fitting_version_of_each_requirement():
     lines = release_files.LOCK.read_text("utf-8").splitlines()
     locked = [Requirement(line) for line in lines if line and not line.startswith("#")]
     for wanted in required():
-        versions = [next(iter(line.specifier)).version for line in locked if line.name == wanted.name.lower()]
-        assert versions, f"{wanted} is not in requirements.lock; run `python tools/release/release_files.py --lock`"
+        versions = [
+            next(iter(line.specifier)).version
+            for line in locked
+            if line.name == wanted.name.lower()
+        ]
+        assert versions, (
+            f"{wanted} is not in requirements.lock; run `python tools/release/release_files.py "
+            f"--lock`"
+        )
         assert all(Version(version) in wanted.specifier for version in versions)
     assert "://" not in "".join(lines)
 
 
 def test_the_paper_names_what_there_is():
-    """Commands, protocols and sweeps exist, every citation has an entry and each entry a citation, and its length fits."""
+    """Commands, protocols and sweeps exist, every citation has an entry and each entry a citation,
+    and its length fits.
+    """
     from ggvs_eval.pipelines.commands.main import COMMANDS
 
     text = PAPER.read_text("utf-8")
-    entries = set(re.findall(r"^@\w+\{(\w+),", (PAPER.parent / "paper.bib").read_text("utf-8"), re.MULTILINE))
+    entries = set(
+        re.findall(r"^@\w+\{(\w+),", (PAPER.parent / "paper.bib").read_text("utf-8"), re.MULTILINE)
+    )
     commands = re.findall(r"`ggvs-eval ([\w-]+)", text)
 
     assert set(re.findall(r"@(\w+)[\];]", text)) == entries

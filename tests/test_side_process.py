@@ -1,4 +1,6 @@
-"""Files read by a process of its own: one for many requests, another one after a crash, a hang, an interruption or a rest."""
+"""Files read by a process of its own: one for many requests, another one after a crash, a hang, an
+interruption or a rest.
+"""
 
 import time
 from pathlib import Path
@@ -54,7 +56,9 @@ def reader(tmp_path_factory):
 
 
 def test_one_process_answers_and_what_it_prints_is_no_answer(reader):
-    """Values come back in the order of the requests, from one process, whatever signs the paths have."""
+    """Values come back in the order of the requests, from one process, whatever signs the paths
+    have.
+    """
     pid = reader.ask(Path("pid"), LONG_S)
     for path in (Path("a b/ü\nx"), Path("c")):
         assert reader.ask(path, LONG_S) == str(path)
@@ -73,7 +77,9 @@ def test_a_refusal_is_reported_and_survived(reader):
 
 @pytest.mark.parametrize(("name", "reason"), [("exit", "cannot go on"), ("abort", "signal 6")])
 def test_a_process_that_dies_is_named_and_replaced(reader, name, reason):
-    """By its last words, or by the status that it ended with; the next request has a process again."""
+    """By its last words, or by the status that it ended with; the next request has a
+    process again.
+    """
     pid = reader.ask(Path("pid"), LONG_S)
     with pytest.raises(SideProcessError, match=reason):
         reader.ask(Path(name), LONG_S)
@@ -101,7 +107,9 @@ def test_an_answer_that_nobody_waited_for_is_not_the_next_ones(reader, monkeypat
 
 
 def test_a_process_that_is_not_asked_ends(tmp_path):
-    """Nothing is opened before the first request; idle, it gives back its memory, and the next request starts another."""
+    """Nothing is opened before the first request; idle, it gives back its memory, and the next
+    request starts another.
+    """
     reader = started(tmp_path, idle_s=0.1)
     assert (reader._child, reader._log) == (None, None)
     pid = reader.ask(Path("pid"), LONG_S)

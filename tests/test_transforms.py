@@ -42,4 +42,6 @@ def test_a_shift_goes_to_the_right_and_downwards_and_an_enlargement_from_the_cen
 
     assert np.array_equal(right[:, 1:], IMAGE[:, :-1])
     assert np.array_equal(larger.apply(middle)[:, 48 + 3 * 5], middle[:, 48 + 5])
-    assert np.array_equal(TRANSFORMS["channel order"]({"order": (2, 0, 1)}, SIZE).apply(IMAGE), IMAGE[..., [1, 2, 0]])
+    assert np.array_equal(
+        TRANSFORMS["channel order"]({"order": (2, 0, 1)}, SIZE).apply(IMAGE), IMAGE[..., [1, 2, 0]]
+    )

@@ -1,4 +1,6 @@
-"""The trunk works alone: with every leaf deleted the README's renders are scored and shown; each leaf comes back alone."""
+"""The trunk works alone: with every leaf deleted the README's renders are scored and shown; each
+leaf comes back alone.
+"""
 
 import json
 import re
@@ -21,7 +23,14 @@ from helpers.places import ROOT
 MODULES = modules()
 KEPT = "metrics"  # that the README prints; each of them is loaded by name as well
 PARTS = sorted({leaf for module in MODULES if (leaf := leaf_of(module)) and leaf != KEPT})
-OF_DEPTH = ("matcher sgbm", "matcher live", "matcher sweep", "matcher raft", "IterMVS", "sensor depth")
+OF_DEPTH = (
+    "matcher sgbm",
+    "matcher live",
+    "matcher sweep",
+    "matcher raft",
+    "IterMVS",
+    "sensor depth",
+)
 BLOCK = re.compile(r"```sh\n(ggvs-eval demo .*?)```", re.DOTALL)
 PRINTED = re.compile(r"^ *(PSNR|late|mine) +([A-Z].*|[\d. ±†*]+)$", re.MULTILINE)
 ASKED = (
@@ -35,8 +44,9 @@ ASKED = (
     "run RUN --methods 4dgs",
 )
 RUN = f"{RUN_COMMANDS}print(json.dumps(run_commands(json.loads(sys.argv[1]))))"
-# For each leaf a process of its own, in which other leaves are not found: imports its modules, and loads what the tables of
-# built-ins name of them. A foreign package that is not installed is nobody's fault.
+# For each leaf a process of its own, in which other leaves are not found: imports its modules, and
+# loads what the tables of built-ins name of them. A foreign package that is not installed is
+# nobody's fault.
 LOAD = """
 import importlib, json, os, sys
 import cv2, numpy, pandas, scipy.ndimage, torch  # once for all
@@ -76,12 +86,14 @@ for leaf, (own, hidden) in json.load(open(sys.argv[1])).items():
         faults[leaf] = pipe.read()
     os.wait()
 print(json.dumps(faults))
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.slow
 def test_the_trunk_imports_no_leaf():
-    """Neither at the head of a module nor inside a function: leaves are known by the text of `built_in` alone."""
+    """Neither at the head of a module nor inside a function: leaves are known by the text of
+    `built_in` alone.
+    """
     wrong = {
         f"{module} imports {imported}"
         for module, file in MODULES.items()
@@ -95,7 +107,9 @@ def test_the_trunk_imports_no_leaf():
 
 @pytest.mark.slow
 def test_leaves_use_the_api_alone():
-    """Of the trunk a leaf imports public modules, and the names that `ggvs_eval.api` lists besides."""
+    """Of the trunk a leaf imports public modules, and the names that `ggvs_eval.api` lists
+    besides.
+    """
     public = names_of_api()
     wrong = {
         f"{module} imports {name} of {imported}"
@@ -126,7 +140,9 @@ def trunk(tmp_path_factory) -> Path:
     """A folder with the package, without any leaf: Python's path is this folder alone."""
     site = tmp_path_factory.mktemp("trunk")
     kept = {module for module in MODULES if leaf_of(module) == KEPT}
-    copy_modules(site, {module for module in MODULES if not leaf_of(module)} | kept | needs_of(kept))
+    copy_modules(
+        site, {module for module in MODULES if not leaf_of(module)} | kept | needs_of(kept)
+    )
     roots = {"": Path(str(ggvs_eval.__file__)).resolve().parent}
     roots |= {room: MODULES[room].parent for room in TOP_ROOMS if room != "contrib"}
     for room, root in roots.items():
@@ -164,12 +180,18 @@ def run_python(site: Path, code: str, argument: object, folder: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def readme(trunk, tmp_path_factory) -> tuple[str, dict[str, tuple[object, str]]]:
-    """The README, and what its first block of commands and those of `ASKED` write without any leaf, by verb or command."""
+    """The README, and what its first block of commands and those of `ASKED` write without any leaf,
+    by verb or command.
+    """
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     block = BLOCK.search(text)
     assert block is not None
-    commands = [line.partition("  #")[0].removeprefix("ggvs-eval ") for line in block[1].splitlines()]
-    alone = [f"{command} --jobs 1" if command.startswith("score") else command for command in commands]
+    commands = [
+        line.partition("  #")[0].removeprefix("ggvs-eval ") for line in block[1].splitlines()
+    ]
+    alone = [
+        f"{command} --jobs 1" if command.startswith("score") else command for command in commands
+    ]
     folder = tmp_path_factory.mktemp("readme")
     outputs = run_python(trunk, RUN, json.dumps([*alone, *ASKED]), folder)
     names = [*(command.split()[0] for command in commands), *ASKED]
@@ -181,11 +203,17 @@ def read_table(text: str) -> dict[str, list[float]]:
     lines = reversed(PRINTED.findall(text))  # of columns that follow below the first ones count
     rows = {name: re.sub(r"± \S+|\*", "", values).split() for name, values in lines}
     columns = ["PSNR", *rows.pop("PSNR")]
-    return {metric: [float(values[at]) for values in rows.values()] for at, metric in enumerate(columns) if metric != ".."}
+    return {
+        metric: [float(values[at]) for values in rows.values()]
+        for at, metric in enumerate(columns)
+        if metric != ".."
+    }
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (ROOT / "README.md").is_file(), reason="an installed wheel has no README; a checkout has")
+@pytest.mark.skipif(
+    not (ROOT / "README.md").is_file(), reason="an installed wheel has no README; a checkout has"
+)
 def test_the_readme_prints_its_numbers_without_any_leaf(readme):
     """Its renders are scored and shown; a command of a leaf is one line that names the part."""
     text, outputs = readme
@@ -201,12 +229,15 @@ def test_the_readme_prints_its_numbers_without_any_leaf(readme):
     assert page.strip().endswith("index.html")
     for command in ASKED:
         line, _ = outputs[command]
-        assert re.fullmatch(r"ggvs-eval: .+ is part of ggvs_eval\.[\w.]+, which is not installed; [^\n]+", line)
+        assert re.fullmatch(
+            r"ggvs-eval: .+ is part of ggvs_eval\.[\w.]+, which is not installed; [^\n]+", line
+        )
 
 
 @pytest.fixture(scope="module")
 def faults(tmp_path_factory) -> dict[str, str]:
-    """What goes wrong in each leaf while it is the only one besides those that it builds on; empty if nothing does.
+    """What goes wrong in each leaf while it is the only one besides those that it builds on; empty
+    if nothing does.
 
     And, ``without`` a matcher or sensors, in depth and the other matchers.
     """
@@ -218,9 +249,16 @@ def faults(tmp_path_factory) -> dict[str, str]:
         cases[leaf] = own, hidden
     for leaf in OF_DEPTH:
         hidden = {module for module in MODULES if leaf_of(module) == leaf}
-        users = {part for part in OF_DEPTH if needs_of({name for name in MODULES if leaf_of(name) == part}) & hidden}
+        users = {
+            part
+            for part in OF_DEPTH
+            if needs_of({name for name in MODULES if leaf_of(name) == part}) & hidden
+        }
         remaining = {"depth", *OF_DEPTH} - {leaf} - users
-        cases[f"without {leaf}"] = {module for module in MODULES if leaf_of(module) in remaining}, hidden
+        cases[f"without {leaf}"] = (
+            {module for module in MODULES if leaf_of(module) in remaining},
+            hidden,
+        )
     for name, sets in cases.items():
         cases[name] = [[f"ggvs_eval.{module}" for module in sorted(modules)] for modules in sets]
     (folder / "cases.json").write_text(json.dumps(cases))
@@ -229,11 +267,15 @@ def faults(tmp_path_factory) -> dict[str, str]:
 
 @pytest.mark.slow
 def test_a_leaf_comes_back_alone(faults):
-    """With the leaves that it builds on, and no other, it is imported, and what the tables of built-ins name of it loads."""
+    """With the leaves that it builds on, and no other, it is imported, and what the tables of
+    built-ins name of it loads.
+    """
     assert {leaf: faults[leaf] for leaf in PARTS if faults[leaf]} == {}
 
 
 @pytest.mark.slow
 def test_depth_does_without_each_of_its_parts(faults):
-    """Depth and every matcher that does not build on the absent one are imported, and what the tables name of them loads."""
+    """Depth and every matcher that does not build on the absent one are imported, and what the
+    tables name of them loads.
+    """
     assert {leaf: fault for leaf in OF_DEPTH if (fault := faults[f"without {leaf}"])} == {}

@@ -1,4 +1,6 @@
-"""ENeRF (Lin et al. 2022): cost volumes find the surface, a few samples around it blend the views' colours."""
+"""ENeRF (Lin et al. 2022): cost volumes find the surface, a few samples around it blend the views'
+colours.
+"""
 
 from ggvs_eval.baselines.learned import LearnedBaseline
 

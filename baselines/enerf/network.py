@@ -1,4 +1,6 @@
-"""ENeRF's networks: a feature pyramid of each image, cost volumes, radiance of samples; and where their weights come from.
+"""ENeRF's networks: a feature pyramid of each image, cost volumes, radiance of samples.
+
+And where their weights come from.
 
 Names of modules are those of the published checkpoint.
 """
@@ -123,7 +125,9 @@ class Convolution3d(nn.Module):
 
 def _enlarging(width_in: int, width: int) -> nn.Sequential:
     """Return the transposed convolution to twice the size, normalised."""
-    enlarged = nn.ConvTranspose3d(width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False)
+    enlarged = nn.ConvTranspose3d(
+        width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False
+    )
     return nn.Sequential(enlarged, nn.BatchNorm3d(width))
 
 
@@ -147,21 +151,28 @@ class RadianceNetwork(nn.Module):
             nn.ReLU(),
         )
 
-    def forward(self, voxels: Tensor, view_features: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, voxels: Tensor, view_features: Tensor, directions: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Return the colour and density of each sample.
 
         Args:
             voxels: features of the cost volume there, (N, 8).
             view_features: features of each view and, last, its RGB, (N, K, C + 3).
-            directions: unit difference of the view's and the target's ray, and their dot product, (N, K, 4).
+            directions: unit difference of the view's and the target's ray, and their dot product,
+                (N, K, 4).
 
         Returns:
             RGB, (N, 3), and density per sample, not per length, (N,).
         """
         sample_features = torch.cat([voxels, self.agg(view_features, directions)], dim=-1)
         hidden = self.lr0(sample_features)
-        shared = torch.cat([hidden, sample_features], dim=-1)[:, None].expand(-1, view_features.shape[1], -1)
-        shares = torch.softmax(self.color(torch.cat([shared, view_features, directions], dim=-1)), dim=1)
+        shared = torch.cat([hidden, sample_features], dim=-1)[:, None].expand(
+            -1, view_features.shape[1], -1
+        )
+        shares = torch.softmax(
+            self.color(torch.cat([shared, view_features, directions], dim=-1)), dim=1
+        )
         return (shares * view_features[..., -3:]).sum(dim=1), self.sigma(hidden)[:, 0]
 
 
@@ -179,14 +190,20 @@ class ViewPooling(nn.Module):
         """(N, K, width) and (N, K, 4) to (N, 16); the variance is the unbiased one, so K >= 2."""
         features = view_features + self.view_fc(directions)
         variance, mean = torch.var_mean(features, dim=1, keepdim=True)
-        features = self.global_fc(torch.cat([features, variance.expand_as(view_features), mean.expand_as(view_features)], dim=-1))
+        features = self.global_fc(
+            torch.cat(
+                [features, variance.expand_as(view_features), mean.expand_as(view_features)], dim=-1
+            )
+        )
         shares = torch.softmax(self.agg_w_fc(features), dim=1)
         pooled: Tensor = self.fc((features * shares).sum(dim=1))
         return pooled
 
 
 class Networks(nn.Module):
-    """All that is trained, under the names of the published checkpoint; `nerf_0` only serves the training.
+    """All that is trained, under the names of the published checkpoint.
+
+    `nerf_0` only serves the training.
 
     Args:
         configuration: ``full``, or ``compact``, which has the same weights and fewer planes.
@@ -207,7 +224,8 @@ def load_enerf(path: Path) -> Networks:
     """Return the networks of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or the output of `ggvs-eval train`.
+        path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or the
+            output of `ggvs-eval train`.
     """
     configuration = configuration_of(path, COARSE_PLANES, "ENeRF")
     networks = Networks(configuration or FULL)

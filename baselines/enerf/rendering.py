@@ -1,6 +1,9 @@
-"""Few samples around the surface of each pixel, and what they add up to; coarsely, too, which teaches the coarse volume.
+"""Few samples around the surface of each pixel, and what they add up to.
 
-The surface is found in two cost volumes before the target: a coarse one over the whole range of depth, a fine one around that.
+Coarsely, too, which teaches the coarse volume.
+
+The surface is found in two cost volumes before the target: a coarse one over the whole range of
+depth, a fine one around that.
 """
 
 from collections.abc import Sequence
@@ -12,7 +15,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
-from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, padded, projection, sample
+from ggvs_eval.baselines.enerf.views import (
+    Matrix,
+    SeenView,
+    extrinsics,
+    image_places,
+    padded,
+    projection,
+    sample,
+)
 from ggvs_eval.baselines.ray_samples import opacity_shares, ray_changes
 from ggvs_eval.camera import Camera
 
@@ -81,13 +92,22 @@ class CoarseSurface:
     far: float
 
     def range_at(self, factor: int) -> tuple[Tensor, Tensor]:
-        """Return the depths between which the surface is assumed, on N times as many pixels, (H', W') twice."""
+        """Return the depths between which the surface is assumed, on N times as many pixels, (H',
+        W') twice.
+        """
         mean, deviation = _enlarge(self.mean, factor), _enlarge(self.deviation, factor)
-        return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(min=1 / self.far)
+        return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(
+            min=1 / self.far
+        )
 
 
 def find_surface(
-    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+    networks: Networks,
+    views: Sequence[SeenView],
+    target: TargetGrid,
+    near: float,
+    far: float,
+    planes: int,
 ) -> Surface:
     """Search depth between near and far, coarsely and then around the expectation.
 
@@ -96,20 +116,31 @@ def find_surface(
         near: depth of the first coarse plane, in the network's units of length.
         planes: number of coarse planes, a multiple of 4.
     """
-    return refine_surface(networks, views, target, search_coarsely(networks, views, target, near, far, planes))
+    return refine_surface(
+        networks, views, target, search_coarsely(networks, views, target, near, far, planes)
+    )
 
 
 def search_coarsely(
-    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+    networks: Networks,
+    views: Sequence[SeenView],
+    target: TargetGrid,
+    near: float,
+    far: float,
+    planes: int,
 ) -> CoarseSurface:
     """Return the first search; arguments as of `find_surface`."""
     inverse = torch.linspace(1 / near, 1 / far, planes)[:, None, None]
     cells = int(target.height * COARSE_SCALE), int(target.width * COARSE_SCALE)
-    features, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
+    features, scores = _regularised(
+        networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells)
+    )
     return CoarseSurface(features, *expectation(scores, inverse), near, far)
 
 
-def refine_surface(networks: Networks, views: Sequence[SeenView], target: TargetGrid, coarse: CoarseSurface) -> Surface:
+def refine_surface(
+    networks: Networks, views: Sequence[SeenView], target: TargetGrid, coarse: CoarseSurface
+) -> Surface:
     """Return the second search, around what the first one found."""
     first, last = coarse.range_at(4)
     depths = first + (last - first) * torch.linspace(0, 1, FINE_PLANES)[:, None, None]
@@ -117,10 +148,18 @@ def refine_surface(networks: Networks, views: Sequence[SeenView], target: Target
     mean, deviation = expectation(scores, depths)
     first, last = _enlarge(first, 2), _enlarge(last, 2)
     begin, end = _enlarge(mean - deviation, 2), _enlarge(mean + deviation, 2)
-    return Surface(features, first, last, torch.maximum(begin, first), torch.minimum(end, last))
+    return Surface(
+        features=features,
+        first=first,
+        last=last,
+        near=torch.maximum(begin, first),
+        far=torch.minimum(end, last),
+    )
 
 
-def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor) -> Tensor:
+def disagreement(
+    views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor
+) -> Tensor:
     """Return the variance of the views' features over planes before the target.
 
     Args:
@@ -129,18 +168,29 @@ def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, dept
         depths: of the planes' cells, (D, h, w).
 
     Returns:
-        (C, D, h, w). A view contributes zeros where it does not see a cell, as in the authors' volume.
+        (C, D, h, w). A view contributes zeros where it does not see a cell, as in the authors'
+        volume.
     """
-    image_to_world = np.linalg.inv(projection(target.K, target.world_to_camera, (COARSE_SCALE, FINE_SCALE)[level]))
-    warps = [torch.as_tensor(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
-    rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij")
+    image_to_world = np.linalg.inv(
+        projection(target.K, target.world_to_camera, (COARSE_SCALE, FINE_SCALE)[level])
+    )
+    warps = [
+        torch.as_tensor(view.projection(FEATURE_SCALES[level]) @ image_to_world).float()
+        for view in views
+    ]
+    rows, columns = torch.meshgrid(
+        *(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij"
+    )
     pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
     volume = []
-    for depth in depths:  # one plane at a time: the warped features of all would not fit for large images
+    # one plane at a time: the warped features of all would not fit for large images
+    for depth in depths:
         warped = []
         for view, warp in zip(views, warps, strict=True):
             projected = (pixels @ warp[:3, :3].T) * depth[..., None] + warp[:3, 3]
-            warped.append(sample(view.levels[level], image_places(projected, view.levels[level]), "zeros"))
+            warped.append(
+                sample(view.levels[level], image_places(projected, view.levels[level]), "zeros")
+            )
         volume.append(torch.stack(warped).var(dim=0, correction=0))
     return torch.stack(volume, dim=1)
 
@@ -155,7 +205,9 @@ def _regularised(
 
 def _enlarge(values: Tensor, factor: int) -> Tensor:
     """(h, w) to (factor h, factor w); the outermost pixels stay where they are."""
-    return functional.interpolate(values[None, None], scale_factor=factor, mode="bilinear", align_corners=True)[0, 0]
+    return functional.interpolate(
+        values[None, None], scale_factor=factor, mode="bilinear", align_corners=True
+    )[0, 0]
 
 
 def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -176,11 +228,21 @@ def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
     """Return the target's padded pixels; `unit` is the network's units of length per world unit."""
-    return TargetGrid(target.K_opencv, extrinsics(target, unit), padded(target.width), padded(target.height))
+    return TargetGrid(
+        K=target.K_opencv,
+        world_to_camera=extrinsics(target, unit),
+        width=padded(target.width),
+        height=padded(target.height),
+    )
 
 
 def render_pixels(
-    networks: Networks, views: Sequence[SeenView], surface: Surface, centre: Tensor, rays: Tensor, pixels: tuple[Tensor, Tensor]
+    networks: Networks,
+    views: Sequence[SeenView],
+    surface: Surface,
+    centre: Tensor,
+    rays: Tensor,
+    pixels: tuple[Tensor, Tensor],
 ) -> tuple[Tensor, Tensor]:
     """Return the colour and depth of some pixels.
 
@@ -197,19 +259,26 @@ def render_pixels(
     depths = near + (far - near) * torch.linspace(0, 1, SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays[:, None]).reshape(-1, 3)
     view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
-    directions = torch.stack([ray_changes(points_world, view.centre, centre) for view in views], dim=1)
-    colours, density = networks.nerf_1(_fine_voxels(surface, pixels, depths), view_features, directions)
+    directions = torch.stack(
+        [ray_changes(points_world, view.centre, centre) for view in views], dim=1
+    )
+    colours, density = networks.nerf_1(
+        _fine_voxels(surface, pixels, depths), view_features, directions
+    )
     return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES).float(), depths)
 
 
 def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the colours (N, S, 3), front to back, and expected depth (N,) of samples with density (N, S) at depths (N, S).
+    """Return the colours (N, S, 3), front to back, and expected depth (N,) of samples with density
+    (N, S) at depths (N, S).
 
     Reading:
         Depth is the mean under the softmax of the samples' shares, as in the authors' code.
     """
     shares = opacity_shares(density)
-    return (shares[..., None] * colours).sum(dim=1), (torch.softmax(shares, dim=1) * depths).sum(dim=1)
+    return (shares[..., None] * colours).sum(dim=1), (torch.softmax(shares, dim=1) * depths).sum(
+        dim=1
+    )
 
 
 def _fine_voxels(surface: Surface, pixels: tuple[Tensor, Tensor], depths: Tensor) -> Tensor:
@@ -217,9 +286,13 @@ def _fine_voxels(surface: Surface, pixels: tuple[Tensor, Tensor], depths: Tensor
     height, width = surface.near.shape
     first, last = surface.first[pixels][:, None], surface.last[pixels][:, None]
     rows, columns = (index[:, None].expand_as(depths) for index in pixels)
-    places = torch.stack([columns / (width - 1), rows / (height - 1), (depths - first) / (last - first)], dim=-1)
+    places = torch.stack(
+        [columns / (width - 1), rows / (height - 1), (depths - first) / (last - first)], dim=-1
+    )
     places = 2 * places.view(1, 1, 1, -1, 3) - 1
-    sampled = functional.grid_sample(surface.features[None], places, padding_mode="zeros", align_corners=True)
+    sampled = functional.grid_sample(
+        surface.features[None], places, padding_mode="zeros", align_corners=True
+    )
     return sampled[0, :, 0, 0].T
 
 
@@ -231,7 +304,10 @@ def render_surface(
     unit: float,
     pixels_per_chunk: int = PIXELS_AT_ONCE,
 ) -> tuple[Tensor, Tensor]:
-    """Return the RGB (3, H, W) and depth (H, W) in world units, by N pixels at once; gradients reach the networks' parameters."""
+    """Return the RGB (3, H, W) and depth (H, W) in world units, by N pixels at once.
+
+    Gradients reach the networks' parameters.
+    """
     centre = torch.as_tensor(target.centre * unit).float()
     rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = []
@@ -239,15 +315,22 @@ def render_surface(
         pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width
         parts.append(render_pixels(networks, views, surface, centre, rays[chunk], pixels))
     image = torch.cat([colours for colours, _ in parts]).T.reshape(3, target.height, target.width)
-    return image, torch.cat([depths for _, depths in parts]).view(target.height, target.width) / unit
+    return image, torch.cat([depths for _, depths in parts]).view(
+        target.height, target.width
+    ) / unit
 
 
 def coarse_views(views: Sequence[SeenView]) -> list[SeenView]:
-    """Return the views at a quarter of their size: the features of that level, and the mean colour of each 4 x 4 pixels."""
+    """Return the views at a quarter of their size: the features of that level, and the mean colour
+    of each 4 x 4 pixels.
+    """
     small = []
     for view in views:
         colours = functional.interpolate(
-            view.maps[-3:][None], scale_factor=1 / COARSE_FACTOR, mode="bilinear", align_corners=True
+            view.maps[-3:][None],
+            scale_factor=1 / COARSE_FACTOR,
+            mode="bilinear",
+            align_corners=True,
         )[0]
         K = view.K.copy()
         K[:2] /= COARSE_FACTOR  # as the volumes: pixel (0, 0) is the same place at every scale
@@ -256,14 +339,19 @@ def coarse_views(views: Sequence[SeenView]) -> list[SeenView]:
 
 
 def render_coarsely(
-    networks: Networks, views: Sequence[SeenView], surface: CoarseSurface, centre: Tensor, rays: Tensor
+    networks: Networks,
+    views: Sequence[SeenView],
+    surface: CoarseSurface,
+    centre: Tensor,
+    rays: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Return the colour and depth of each fourth pixel of every fourth row.
 
     Args:
         views: as `coarse_views` gives them.
         centre: of the target camera in the world, (3,).
-        rays: directions in the world such that centre + depth * ray has that depth, (H / 4, W / 4, 3).
+        rays: directions in the world such that centre + depth * ray has that depth, (H / 4, W / 4,
+            3).
 
     Returns:
         RGB, (N, 3), and depth, (N,), row by row.
@@ -273,18 +361,30 @@ def render_coarsely(
     depths = near + (far - near) * torch.linspace(0, 1, COARSE_SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays.reshape(-1, 1, 3)).reshape(-1, 3)
     view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
-    directions = torch.stack([ray_changes(points_world, view.centre, centre) for view in views], dim=1)
-    colours, density = networks.nerf_0(_coarse_voxels(surface, depths, height, width), view_features, directions)
-    return composite(colours.view(-1, COARSE_SAMPLES, 3), density.view(-1, COARSE_SAMPLES).float(), depths)
+    directions = torch.stack(
+        [ray_changes(points_world, view.centre, centre) for view in views], dim=1
+    )
+    colours, density = networks.nerf_0(
+        _coarse_voxels(surface, depths, height, width), view_features, directions
+    )
+    return composite(
+        colours.view(-1, COARSE_SAMPLES, 3), density.view(-1, COARSE_SAMPLES).float(), depths
+    )
 
 
 def _coarse_voxels(surface: CoarseSurface, depths: Tensor, height: int, width: int) -> Tensor:
     """Return the features of the coarse volume at the samples (N, S), (N * S, 8)."""
-    last_pixels = (2 * side - 1 for side in surface.mean.shape)  # index of the last pixel, padded ones included
-    sides = (2 * torch.arange(side) / last - 1 for side, last in zip((height, width), last_pixels, strict=True))
+    # index of the last pixel, padded ones included
+    last_pixels = (2 * side - 1 for side in surface.mean.shape)
+    sides = (
+        2 * torch.arange(side) / last - 1
+        for side, last in zip((height, width), last_pixels, strict=True)
+    )
     rows, columns = torch.meshgrid(*sides, indexing="ij")
     share = (1 / depths - 1 / surface.near) / (1 / surface.far - 1 / surface.near)
     across, down = (index.reshape(-1, 1).expand_as(depths) for index in (columns, rows))
     places = torch.stack([across, down, 2 * share - 1], dim=-1).view(1, 1, 1, -1, 3)
-    sampled = functional.grid_sample(surface.features[None], places, padding_mode="zeros", align_corners=True)
+    sampled = functional.grid_sample(
+        surface.features[None], places, padding_mode="zeros", align_corners=True
+    )
     return sampled[0, :, 0, 0].T

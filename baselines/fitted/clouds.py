@@ -23,15 +23,23 @@ class FittedClouds:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._whole = StoredScene(folder / SCENE) if (folder / SCENE).is_file() else None
-        numbers = sorted(int(file.stem) for file in folder.glob("*.safetensors") if file.stem.isdecimal())
-        self.instants = list(range(self._whole.first, self._whole.last + 1)) if self._whole else numbers
+        numbers = sorted(
+            int(file.stem) for file in folder.glob("*.safetensors") if file.stem.isdecimal()
+        )
+        self.instants = (
+            list(range(self._whole.first, self._whole.last + 1)) if self._whole else numbers
+        )
         self._streamed = StreamedScene(folder, "cpu")
         if not self.instants or not (folder / JOB_FILE).is_file():
-            raise RenderError(f"{folder}: wanted a finished fit, RUN/fits/LABEL/FOLD; 'ggvs-eval run' continues with it")
+            raise RenderError(
+                f"{folder}: wanted a finished fit, RUN/fits/LABEL/FOLD; 'ggvs-eval run' continues "
+                f"with it"
+            )
 
     def cloud(self, index: int) -> GaussianCloud:
         """Return the Gaussians of an instant."""
         scene = self._whole or StoredScene(scene_file(self._folder, index))
         if scene.motion.kind != "transformation":
             return scene.cloud(index)
-        return Backdrop(self._streamed.moved(index)).cloud(scene.gaussians, 0.0)  # 3DGStream: what has moved, and what is new
+        # 3DGStream: what has moved, and what is new
+        return Backdrop(self._streamed.moved(index)).cloud(scene.gaussians, 0.0)

@@ -1,4 +1,6 @@
-"""3DGS of each instant alone: the best that one instant gives, and nothing that ties it to the next one."""
+"""3DGS of each instant alone: the best that one instant gives, and nothing that ties it to the next
+one.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,15 +27,17 @@ def scene_file(folder: Path, index: int) -> Path:
 
 @dataclass(frozen=True)
 class PerInstant(GaussianFitter):
-    """3D Gaussian splatting (Kerbl et al. 2023) of one instant after the other; works for a single one too.
+    """3D Gaussian splatting (Kerbl et al. 2023) of one instant after the other.
+
+    Works for a single one too.
 
     Attributes:
         steps: images that are looked at for each instant.
         points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
     Reading:
-        Not as published: first points from estimated depth instead of structure from motion, fewer steps, spherical harmonics of
-        degree 1, opacity never reset.
+        Not as published: first points from estimated depth instead of structure from motion, fewer
+        steps, spherical harmonics of degree 1, opacity never reset.
     """
 
     steps: int = 1000
@@ -53,9 +57,18 @@ class PerInstant(GaussianFitter):
         for place, index in enumerate(missing):
             shots = Shots(footage, [index], folder, salt=index)
             with one_thread(), computing_on(device):
-                state = fresh_or_stored(footage, index, (self.points, self.degree), folder / STATE, device)
+                state = fresh_or_stored(
+                    footage, index, (self.points, self.degree), folder / STATE, device
+                )
                 begun = (finished + place) * self.steps
-                journal = Journal(folder, "fit", len(footage.indices) * self.steps, begun, state.step, progress)
+                journal = Journal(
+                    folder=folder,
+                    name="fit",
+                    steps=len(footage.indices) * self.steps,
+                    before=begun,
+                    n_done=state.step,
+                    progress=progress,
+                )
                 optimise(state, shots, options, journal, folder / STATE)
             write_scene(scene_file(folder, index), state.gaussians, state.motion, footage)
             (folder / STATE).unlink()
@@ -66,12 +79,19 @@ class PerInstant(GaussianFitter):
         return InstantScenes(folder, self.device)
 
 
-def fresh_or_stored(footage: Footage, index: int, cloud: tuple[int, int], checkpoint: Path, device: torch.device) -> FitState:
-    """The state of a killed fit to one instant, or a fresh one from its depth; `cloud` is how many points, of which degree."""
+def fresh_or_stored(
+    footage: Footage, index: int, cloud: tuple[int, int], checkpoint: Path, device: torch.device
+) -> FitState:
+    """The state of a killed fit to one instant, or a fresh one from its depth.
+
+    `cloud` is how many points, of which degree.
+    """
     if checkpoint.is_file():
         return FitState.read(checkpoint, NoMotion(), device)
     with torch.device("cpu"):
-        gaussians = first_gaussians(initial_points(footage, [index], cloud[0]), cloud[1], NoMotion())
+        gaussians = first_gaussians(
+            initial_points(footage, [index], cloud[0]), cloud[1], NoMotion()
+        )
     return FitState({name: tensor.to(device) for name, tensor in gaussians.items()}, NoMotion())
 
 

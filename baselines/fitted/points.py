@@ -1,4 +1,6 @@
-"""First points of a fit: estimated depth of the training cameras, fused where cameras agree, thinned to voxels, coloured."""
+"""First points of a fit: estimated depth of the training cameras, fused where cameras agree,
+thinned to voxels, coloured.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ AGREEING = 2  # of them that must
 TOLERANCE = 0.01  # of the depth, between what two cameras say of a point
 STEADY_SHARE = 2 / 3  # of the instants in which a voxel of the background holds a point
 STEADY_COLOUR = 0.06  # by which its colour differs from their mean, at most
-STEADY_DURATION = 2.0  # clips, of a point that is there all the time: nearly as opaque at the ends as in the middle
+# clips, of a point that is there all the time: nearly as opaque at the ends as in the middle
+STEADY_DURATION = 2.0
 NEIGHBOURS = 3
 
 
@@ -42,10 +45,18 @@ class Points:
 
     def select(self, rows: Tensor) -> "Points":
         """Some of the points, by a mask or their indices."""
-        return Points(self.means[rows], self.colours[rows], self.times[rows], self.durations[rows], self.steady[rows])
+        return Points(
+            means=self.means[rows],
+            colours=self.colours[rows],
+            times=self.times[rows],
+            durations=self.durations[rows],
+            steady=self.steady[rows],
+        )
 
     def spacings(self) -> Tensor:
-        """Return the root mean square distance of each point to its three nearest neighbours, world units, (N,)."""
+        """Return the root mean square distance of each point to its three nearest neighbours, world
+        units, (N,).
+        """
         from scipy.spatial import KDTree
 
         places = self.means.numpy().astype(np.float64)
@@ -67,8 +78,8 @@ def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Point
     ordinals = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
     if not len(means):
         raise DepthError(
-            f"depth of {len(footage.views)} cameras at {len(indices)} instants: no point on which {AGREEING} others agree; "
-            f"check the depth page, or use another --matcher"
+            f"depth of {len(footage.views)} cameras at {len(indices)} instants: no point on which "
+            f"{AGREEING} others agree; check the depth page, or use another --matcher"
         )
     thinned = None
     low, high = 1e-5, 0.2  # voxel, shares of the diagonal of what is there
@@ -86,11 +97,11 @@ def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Point
     times = clip_times(footage, indices)[instants]
     gap = 1 / max(1, len(indices) - 1)
     return Points(
-        torch.from_numpy(places.astype(np.float32)),
-        torch.from_numpy(paint.astype(np.float32)),
-        torch.from_numpy(np.where(steady, 0.5, times).astype(np.float32)),
-        torch.from_numpy(np.where(steady, STEADY_DURATION, gap).astype(np.float32)),
-        torch.from_numpy(steady),
+        means=torch.from_numpy(places.astype(np.float32)),
+        colours=torch.from_numpy(paint.astype(np.float32)),
+        times=torch.from_numpy(np.where(steady, 0.5, times).astype(np.float32)),
+        durations=torch.from_numpy(np.where(steady, STEADY_DURATION, gap).astype(np.float32)),
+        steady=torch.from_numpy(steady),
     )
 
 
@@ -101,7 +112,9 @@ def clip_times(footage: Footage, indices: Sequence[int]) -> Array:
 
 
 def _fused(footage: Footage, index: int) -> tuple[Array, Array32]:
-    """Return the points of an instant that enough cameras agree on, (N, 3), and their colours, (N, 3)."""
+    """Return the points of an instant that enough cameras agree on, (N, 3), and their colours, (N,
+    3).
+    """
     depths = [footage.depth(view, index) for view in footage.views]
     pixels = sum(depth.size for depth in depths)
     stride = max(1, round(np.sqrt(pixels / SAMPLES)))
@@ -112,10 +125,15 @@ def _fused(footage: Footage, index: int) -> tuple[Array, Array32]:
         mask = np.zeros(depths[place].shape, bool)
         mask[stride // 2 :: stride, stride // 2 :: stride] = True
         mask &= depths[place] > 0
-        points = camera.unproject(camera.pixel_centres()[mask], depths[place][mask].astype(np.float64))
-        nearest = np.argsort(np.linalg.norm(centres - camera.centre, axis=1), kind="stable")[1 : partners + 1]
+        points = camera.unproject(
+            camera.pixel_centres()[mask], depths[place][mask].astype(np.float64)
+        )
+        nearest = np.argsort(np.linalg.norm(centres - camera.centre, axis=1), kind="stable")[
+            1 : partners + 1
+        ]
         votes = sum(
-            (_agrees(footage.cameras[partner], depths[partner], points) for partner in nearest), np.zeros(len(points), int)
+            (_agrees(footage.cameras[partner], depths[partner], points) for partner in nearest),
+            np.zeros(len(points), int),
         )
         is_agreed = votes >= min(AGREEING, partners)
         means.append(points[is_agreed])
@@ -135,22 +153,29 @@ def _agrees(camera: Camera, depth: Map, points: Array) -> Indices:
 def _thinned(
     means: Array, colours: Array32, ordinals: Indices, instants: int, voxel: float
 ) -> tuple[Array, Array, Indices, Mask]:
-    """Return one point per voxel and instant, and one for all instants where most of them hold the same colour.
+    """Return one point per voxel and instant, and one for all instants where most of them hold the
+    same colour.
 
     Returns:
-        Means and colours (N, 3), ordinal of the instant (N,), and what is the same in most instants (N,).
+        Means and colours (N, 3), ordinal of the instant (N,), and what is the same in most instants
+        (N,).
     """
     cells = np.floor((means - means.min(axis=0)) / voxel).astype(np.int64)
     spans = cells.max(axis=0) + 1
     keys = (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2]
     places, of_point = np.unique(keys, return_inverse=True)
-    pairs, of_pair = np.unique(of_point * instants + ordinals, return_inverse=True)  # (voxel, instant)
+    # (voxel, instant)
+    pairs, of_pair = np.unique(of_point * instants + ordinals, return_inverse=True)
     cell, instant = pairs // instants, pairs % instants
     mean, paint = _means(of_pair, means, len(pairs)), _means(of_pair, colours, len(pairs))
     overall = _means(cell, paint, len(places))
     differs = np.abs(paint - overall[cell]).max(axis=1) > STEADY_COLOUR
     odd = np.bincount(cell, differs, len(places)) > 0
-    steady = (np.bincount(cell, minlength=len(places)) >= STEADY_SHARE * instants) & ~odd & (instants > 1)
+    steady = (
+        (np.bincount(cell, minlength=len(places)) >= STEADY_SHARE * instants)
+        & ~odd
+        & (instants > 1)
+    )
     if instants == 1:
         steady[:] = True
     moving = ~steady[cell]
@@ -166,4 +191,7 @@ def _thinned(
 def _means(groups: Indices, values: Array | Array32, count: int) -> Array:
     """Return the mean of the values (M, 3) of each group, (count, 3)."""
     members = np.maximum(np.bincount(groups, minlength=count), 1)
-    return np.stack([np.bincount(groups, column, count) / members for column in values.T.astype(np.float64)], axis=1)
+    return np.stack(
+        [np.bincount(groups, column, count) / members for column in values.T.astype(np.float64)],
+        axis=1,
+    )

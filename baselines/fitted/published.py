@@ -1,4 +1,6 @@
-"""Scenes that the authors' program of 4DGS has fitted: their output folder, rendered by this package's splat."""
+"""Scenes that the authors' program of 4DGS has fitted: their output folder, rendered by this
+package's splat.
+"""
 
 from pathlib import Path
 
@@ -17,25 +19,33 @@ CLOUD, FIELD = "point_cloud.ply", "deformation.pth"
 
 
 class PublishedScene(FittedScene):
-    """Canonical Gaussians and the deformation field of a folder that hustvl/4DGaussians has written.
+    """Canonical Gaussians and the deformation field of a folder that hustvl/4DGaussians has
+    written.
 
     Args:
-        folder: with ``point_cloud.ply`` and ``deformation.pth``, or with iterations of them below ``point_cloud``, of which the
-            last one is taken.
+        folder: with ``point_cloud.ply`` and ``deformation.pth``, or with iterations of them below
+            ``point_cloud``, of which the last one is taken.
         instants: frame numbers of the clip that it was fitted to; an attribute too.
         near: Gaussians at or before this depth are not rendered, world units.
         settings: of the training, where files next to it state any.
 
     Reading:
-        The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is moved; which ones are is a table
-        next to the files that their program fills with yes.
+        The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is
+        moved; which ones are is a table next to the files that their program fills with yes.
     """
 
     def __init__(
-        self, folder: Path, instants: range, near: float, device: str = "cpu", settings: SplatSettings = NO_SETTINGS
+        self,
+        folder: Path,
+        instants: range,
+        near: float,
+        device: str = "cpu",
+        settings: SplatSettings = NO_SETTINGS,
     ) -> None:
         self._folder = _iteration(folder)
-        self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD)).to(compute_device(device))
+        self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD)).to(
+            compute_device(device)
+        )
         values = read_ply(self._folder / CLOUD).to(compute_device(device)).parameters()
         sh = values.pop("sh")
         self._gaussians = {**values, "sh_base": sh[:, :1], "sh_rest": sh[:, 1:]}
@@ -44,12 +54,19 @@ class PublishedScene(FittedScene):
     def cloud(self, index: int) -> GaussianCloud:
         """Return the Gaussians of an instant."""
         if index not in self.instants:
-            raise RenderError(f"{self._folder}: wanted instants {self.instants[0]}..{self.instants[-1]}, got {index}")
-        return self._settings.apply(self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants)))
+            raise RenderError(
+                f"{self._folder}: wanted instants {self.instants[0]}..{self.instants[-1]}, got "
+                f"{index}"
+            )
+        return self._settings.apply(
+            self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants))
+        )
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
-        return render_cloud(lambda: self.cloud(index), target, self._near, self._device, self._settings.background)
+        return render_cloud(
+            lambda: self.cloud(index), target, self._near, self._device, self._settings.background
+        )
 
     @property
     def size_bytes(self) -> int:
@@ -59,10 +76,20 @@ class PublishedScene(FittedScene):
 
 def _iteration(folder: Path) -> Path:
     """Return the folder of the two files: the given one, or its last iteration."""
-    iterations = [path for path in folder.glob("point_cloud/iteration_*") if path.name.removeprefix("iteration_").isdigit()]
-    for place in (folder, *sorted(iterations, key=lambda path: int(path.name.removeprefix("iteration_")), reverse=True)):
+    iterations = [
+        path
+        for path in folder.glob("point_cloud/iteration_*")
+        if path.name.removeprefix("iteration_").isdigit()
+    ]
+    for place in (
+        folder,
+        *sorted(
+            iterations, key=lambda path: int(path.name.removeprefix("iteration_")), reverse=True
+        ),
+    ):
         if (place / CLOUD).is_file() and (place / FIELD).is_file():
             return place
     raise RenderError(
-        f"{folder}: wanted {CLOUD} and {FIELD}, there or below point_cloud/iteration_N; give an output folder of 4DGS"
+        f"{folder}: wanted {CLOUD} and {FIELD}, there or below point_cloud/iteration_N; give an "
+        f"output folder of 4DGS"
     )

@@ -1,9 +1,11 @@
-"""Scenes as fits leave them on disk, Gaussians and their motion in one safetensors file, and how they are rendered.
+"""Scenes as fits leave them on disk, Gaussians and their motion in one safetensors file, and how
+they are rendered.
 
-Motion is by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or none.
+Motion is by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or
+none.
 
-What a motion keeps per Gaussian is stored with the canonical properties under other names, and thinned and split with
-them; what all Gaussians share are the parameters of the module.
+What a motion keeps per Gaussian is stored with the canonical properties under other names, and
+thinned and split with them; what all Gaussians share are the parameters of the module.
 """
 
 import json
@@ -20,7 +22,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, FieldConfiguration, PlaneGrid, field_outputs, linear
+from ggvs_eval.baselines.fitted.hexplane import (
+    DeformationNetwork,
+    FieldConfiguration,
+    PlaneGrid,
+    field_outputs,
+    linear,
+)
 from ggvs_eval.baselines.fitted.points import Points
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
@@ -32,9 +40,12 @@ from ggvs_eval.method import NEAR_M, Rendering
 from ggvs_eval.scene_fitter import FittedScene, Footage
 
 MotionName = Literal["hexplane", "polynomial", "linear"]
-VELOCITY_RATE = 1.6e-4 * 3.5 * 0.5  # of Adam, extents per clip: of Spacetime Gaussians, by its rate of positions
-PLANE_RATE, LAYER_RATE = 1e-2, 1e-3  # of Adam, of a field's planes and of its layers: the authors' for a rig of 6 units
-STEP_PLANE_RATE, STEP_LAYER_RATE = 0.1, 2e-3  # the same of a step between two instants; that of the layers as published
+# of Adam, extents per clip: of Spacetime Gaussians, by its rate of positions
+VELOCITY_RATE = 1.6e-4 * 3.5 * 0.5
+# of Adam, of a field's planes and of its layers: the authors' for a rig of 6 units
+PLANE_RATE, LAYER_RATE = 1e-2, 1e-3
+# the same of a step between two instants; that of the layers as published
+STEP_PLANE_RATE, STEP_LAYER_RATE = 0.1, 2e-3
 SCENE = "scene.safetensors"
 NOTE = "scene"  # in the file's header: what it is, as JSON
 
@@ -44,7 +55,8 @@ class Motion(nn.Module, ABC):
 
     Attributes:
         rates: learning rate of each tensor that it keeps per Gaussian.
-        lengths: which of them are lengths, whose rate counts in extents of the rig and falls with that of the means.
+        lengths: which of them are lengths, whose rate counts in extents of the rig and falls with
+            that of the means.
         has_coarse_stage: whether Gaussians are first fitted to all times together, without motion.
     """
 
@@ -78,7 +90,8 @@ def canonical(gaussians: Mapping[str, Tensor]) -> GaussianCloud:
     """Return the Gaussians as they are kept."""
     names = ("means", "log_scales", "quaternions", "opacity_logits")
     return GaussianCloud(
-        **{name: gaussians[name] for name in names}, sh=torch.cat([gaussians["sh_base"], gaussians["sh_rest"]], dim=1)
+        **{name: gaussians[name] for name in names},
+        sh=torch.cat([gaussians["sh_base"], gaussians["sh_rest"]], dim=1),
     )
 
 
@@ -99,8 +112,9 @@ class HexPlaneMotion(Motion):
         reach: what an output of 1 moves a Gaussian, world units.
 
     Reading:
-        The heads give world units in the authors' files (reach 1). A field fitted here counts in extents of the rig, so that a
-        scene in millimetres is learned as fast as one in metres; the authors scale their learning rates instead.
+        The heads give world units in the authors' files (reach 1). A field fitted here counts in
+        extents of the rig, so that a scene in millimetres is learned as fast as one in metres; the
+        authors scale their learning rates instead.
     """
 
     kind = "hexplane"
@@ -146,8 +160,9 @@ class ExplicitMotion(Motion):
     dt is the time from the Gaussian's own; both count in clips.
 
     Reading:
-        Spacetime Gaussians lets no gradient of the polynomial reach the Gaussian's own time; FreeTimeGS says nothing of it, and
-        has the same here. Of FreeTimeGS's penalty and relocation nothing is taken: one optimiser serves all motions.
+        Spacetime Gaussians lets no gradient of the polynomial reach the Gaussian's own time;
+        FreeTimeGS says nothing of it, and has the same here. Of FreeTimeGS's penalty and relocation
+        nothing is taken: one optimiser serves all motions.
     """
 
     degree: ClassVar[int]
@@ -158,15 +173,23 @@ class ExplicitMotion(Motion):
         """Return each point's own time and duration, and no velocity."""
         count = len(points.means)
         velocities = torch.zeros(count, self.degree, 3)
-        return {"velocities": velocities, "times": points.times.clone(), "log_durations": points.durations.log()}
+        return {
+            "velocities": velocities,
+            "times": points.times.clone(),
+            "log_durations": points.durations.log(),
+        }
 
     def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:
-        """Return the Gaussians where their polynomials are at that time, as opaque as they are then."""
+        """Return the Gaussians where their polynomials are at that time, as opaque as they are
+        then.
+        """
         values = canonical(gaussians).parameters()
         away = time - gaussians["times"]  # (N,)
         ahead = away.detach()[:, None]
         for power in range(self.degree):
-            values["means"] = values["means"] + gaussians["velocities"][:, power] * ahead ** (power + 1)
+            values["means"] = values["means"] + gaussians["velocities"][:, power] * ahead ** (
+                power + 1
+            )
         if "turns" in gaussians:
             values["quaternions"] = values["quaternions"] + gaussians["turns"] * ahead
         fading = self.steepness * (away * torch.exp(-gaussians["log_durations"])) ** 2
@@ -175,19 +198,27 @@ class ExplicitMotion(Motion):
 
 
 class LinearMotion(ExplicitMotion):
-    """Position mean + velocity dt, opacity times exp(-(dt / duration)^2 / 2), as FreeTimeGS (CVPR 2025) prints them."""
+    """Position mean + velocity dt, opacity times exp(-(dt / duration)^2 / 2), as FreeTimeGS (CVPR
+    2025) prints them.
+    """
 
     kind = "linear"
     degree, steepness = 1, 0.5
-    rates = MappingProxyType({"velocities": 20 * VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03})
+    rates = MappingProxyType(
+        {"velocities": 20 * VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03}
+    )
 
 
 class PolynomialMotion(ExplicitMotion):
-    """Cubic position, quaternion + turn dt, opacity times exp(-(dt / duration)^2): Spacetime Gaussians (CVPR 2024), lite form."""
+    """Cubic position, quaternion + turn dt, opacity times exp(-(dt / duration)^2): Spacetime
+    Gaussians (CVPR 2024), lite form.
+    """
 
     kind = "polynomial"
     degree, steepness = 3, 1.0
-    rates = MappingProxyType({"velocities": VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03, "turns": 1e-4})
+    rates = MappingProxyType(
+        {"velocities": VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03, "turns": 1e-4}
+    )
 
     def start(self, points: Points) -> dict[str, Tensor]:
         """Return what lines keep, and no turn."""
@@ -195,21 +226,25 @@ class PolynomialMotion(ExplicitMotion):
 
 
 class TransformationMotion(Motion):
-    """A small step of all Gaussians, from one instant to the next: 3DGStream's transformation cache as three dense planes.
+    """A small step of all Gaussians, from one instant to the next: 3DGStream's transformation cache
+    as three dense planes.
 
     Args:
         box: what the planes span, (2, 3), the larger corner first.
         reach: what an output of 1 moves a Gaussian, world units.
 
     Reading:
-        The authors' hash tables begin near zero, where their rate of 2e-3 soon makes neighbours differ. Planes begin at 0.1 to
-        0.5: at that rate 150 steps move them all alike, and anyone who walks stays behind a little more in every frame. In a
-        validation room (demo seed 31, grid, a held-out camera) moving pixels of the third frame have 21.9 dB with 2e-3, 27.2 with
+        The authors' hash tables begin near zero, where their rate of 2e-3 soon makes neighbours
+        differ. Planes begin at 0.1 to 0.5: at that rate 150 steps move them all alike, and anyone
+        who walks stays behind a little more in every frame. In a validation room (demo seed 31,
+        grid, a held-out camera) moving pixels of the third frame have 21.9 dB with 2e-3, 27.2 with
         0.02, 28.4 with 0.05, 28.7 with 0.1 and 28.8 with 0.2; without a field 19.1 in the first.
     """
 
     kind = "transformation"
-    CONFIGURATION = FieldConfiguration((64, 128), 1, 8, 64, ())
+    CONFIGURATION = FieldConfiguration(
+        levels=(64, 128), time_nodes=1, channels=8, width=64, heads=()
+    )
 
     def __init__(self, box: Tensor, reach: float, seed: int) -> None:
         super().__init__()
@@ -221,21 +256,30 @@ class TransformationMotion(Motion):
             features = len(self.CONFIGURATION.levels) * self.CONFIGURATION.channels
             last = linear(width, 7)
             nn.init.zeros_(last.weight)
-            self.layers = nn.Sequential(linear(features, width), nn.ReLU(), linear(width, width), nn.ReLU(), last)
+            self.layers = nn.Sequential(
+                linear(features, width), nn.ReLU(), linear(width, width), nn.ReLU(), last
+            )
 
     def shared_rate(self, name: str) -> float:
         """Return the learning rate of planes, or that of layers."""
         return STEP_PLANE_RATE if ".grids." in name else STEP_LAYER_RATE
 
     def moved(self, gaussians: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the Gaussians after the step: places shifted, axes turned; colours stay with the world."""
+        """Return the Gaussians after the step: places shifted, axes turned.
+
+        Colours stay with the world.
+        """
         (moved,) = field_outputs(self.grid, self.layers[0], [self.layers[1:]], gaussians["means"])
         shift, turn = moved.split([3, 4], dim=1)
         turn = turn + torch.tensor([1.0, 0.0, 0.0, 0.0])
-        places, axes = gaussians["means"] + self.reach * shift, quaternion_product(turn, gaussians["quaternions"])
+        places, axes = (
+            gaussians["means"] + self.reach * shift,
+            quaternion_product(turn, gaussians["quaternions"]),
+        )
         return {**gaussians, "means": places, "quaternions": axes}
 
-    def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:  # has one instant
+    # has one instant
+    def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:
         """Return the Gaussians after the step."""
         return canonical(self.moved(gaussians))
 
@@ -253,9 +297,12 @@ class Backdrop(Motion):
         super().__init__()
         self._others = tensors
 
-    def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:  # has one instant
+    # has one instant
+    def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:
         """Return both; those that are learned come first."""
-        return canonical({name: torch.cat([tensor, self._others[name]]) for name, tensor in gaussians.items()})
+        return canonical(
+            {name: torch.cat([tensor, self._others[name]]) for name, tensor in gaussians.items()}
+        )
 
 
 def quaternion_product(left: Tensor, right: Tensor) -> Tensor:
@@ -270,7 +317,9 @@ def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
     if kind == HexPlaneMotion.kind:
         field = sizes["field"]
         field |= {"levels": tuple(field["levels"]), "heads": tuple(field["heads"])}
-        return HexPlaneMotion(DeformationNetwork(torch.zeros(2, 3), FieldConfiguration(**field)), sizes["reach"])
+        return HexPlaneMotion(
+            DeformationNetwork(torch.zeros(2, 3), FieldConfiguration(**field)), sizes["reach"]
+        )
     if kind == TransformationMotion.kind:
         return TransformationMotion(torch.zeros(2, 3), sizes["reach"], seed=0)
     return {motion.kind: motion for motion in (NoMotion, LinearMotion, PolynomialMotion)}[kind]()
@@ -279,7 +328,8 @@ def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
 def faded(logits: Tensor, fading: Tensor) -> Tensor:
     """Return the logits of opacities sigmoid(logits) exp(-fading), both (N,).
 
-    With p the opacity, 1 - p e^-f = (1 - p) (1 + (1 - e^-f) p / (1 - p)), where p / (1 - p) = e^logit.
+    With p the opacity, 1 - p e^-f = (1 - p) (1 + (1 - e^-f) p / (1 - p)), where p / (1 - p) =
+    e^logit.
     """
     return logits - fading - torch.log1p(-torch.expm1(-fading) * torch.exp(logits))
 
@@ -315,10 +365,18 @@ class StoredScene:
         notes = _notes(path)
         tensors = read_tensors(path, model="a fitted scene")
         place = compute_device(device)
-        rows = {name.removeprefix("gaussians."): tensor for name, tensor in tensors.items() if name.startswith("gaussians.")}
+        rows = {
+            name.removeprefix("gaussians."): tensor
+            for name, tensor in tensors.items()
+            if name.startswith("gaussians.")
+        }
         self.gaussians = {name: tensor.to(place) for name, tensor in rows.items()}
         self.motion = motion_of(notes["motion"], notes["sizes"])
-        parameters = {name.removeprefix("motion."): tensor for name, tensor in tensors.items() if name.startswith("motion.")}
+        parameters = {
+            name.removeprefix("motion."): tensor
+            for name, tensor in tensors.items()
+            if name.startswith("motion.")
+        }
         load_strict(parameters, self.motion, path, "a fitted scene")
         self.motion.to(place)
         self.first, self.last, self.near = notes["first"], notes["last"], notes["near"]
@@ -326,8 +384,13 @@ class StoredScene:
     def cloud(self, index: int) -> GaussianCloud:
         """Return the Gaussians of an instant."""
         if not self.first <= index <= self.last:
-            raise RenderError(f"fitted scene: wanted instants {self.first}..{self.last}, got {index}; fit these instants too")
-        return self.motion.cloud(self.gaussians, (index - self.first) / max(1, self.last - self.first))
+            raise RenderError(
+                f"fitted scene: wanted instants {self.first}..{self.last}, got {index}; fit these "
+                f"instants too"
+            )
+        return self.motion.cloud(
+            self.gaussians, (index - self.first) / max(1, self.last - self.first)
+        )
 
 
 def _notes(path: Path) -> Any:
@@ -336,7 +399,8 @@ def _notes(path: Path) -> Any:
             return json.loads((file.metadata() or {})[NOTE])
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise WeightsError(
-            f"{path}: wanted a fitted scene, got {type(error).__name__} ({error}); move it away and fit again"
+            f"{path}: wanted a fitted scene, got {type(error).__name__} ({error}); move it away "
+            f"and fit again"
         ) from error
 
 
@@ -368,7 +432,9 @@ class MovingScene(FittedScene):
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
-        return render_cloud(lambda: self._scene.cloud(index), target, self._scene.near, self._device)
+        return render_cloud(
+            lambda: self._scene.cloud(index), target, self._scene.near, self._device
+        )
 
     @property
     def size_bytes(self) -> int:

@@ -34,23 +34,32 @@ class Shot:
 
 
 class Shots:
-    """Images of all training cameras at some instants, each once before any comes again, in a seeded order.
+    """Images of all training cameras at some instants, each once before any comes again, in a
+    seeded order.
 
-    Frames of videos depend on each other; they are decoded once, into a file next to the fit, which is read in any order.
+    Frames of videos depend on each other; they are decoded once, into a file next to the fit, which
+    is read in any order.
 
     Args:
         salt: makes the order of this fit another than that of the folder's other fits.
     """
 
-    def __init__(self, footage: Footage, indices: Sequence[int], folder: Path, salt: int = 0) -> None:
+    def __init__(
+        self, footage: Footage, indices: Sequence[int], folder: Path, salt: int = 0
+    ) -> None:
         self.footage, self.indices, self.salt = footage, list(indices), salt
         self._folder = folder
-        self._times = dict(zip(self.indices, clip_times(footage, self.indices).tolist(), strict=True))
+        self._times = dict(
+            zip(self.indices, clip_times(footage, self.indices).tolist(), strict=True)
+        )
         self._frames: dict[str, Image8] = {}
 
     @property
     def extent(self) -> float:
-        """1.1 times the largest distance of a camera from their mean, world units; for one camera its nearest depth."""
+        """1.1 times the largest distance of a camera from their mean, world units.
+
+        For one camera its nearest depth.
+        """
         centres = np.stack([camera.centre for camera in self.footage.cameras])
         reach = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
         return EXTENT_MARGIN * reach or self.footage.cameras[0].near
@@ -75,7 +84,9 @@ class Shots:
         camera_ordinal, instant = divmod(ordinal, len(self.indices))
         camera, index = self.footage.cameras[camera_ordinal], self.indices[instant]
         frame = self._stored(camera.name)[index - self.footage.indices[0]]
-        return Shot(camera, self._times[index], torch.as_tensor(np.array(frame), dtype=torch.float32) / 255)
+        return Shot(
+            camera, self._times[index], torch.as_tensor(np.array(frame), dtype=torch.float32) / 255
+        )
 
     def evenly(self, count: int) -> list[Shot]:
         """Return a few of the images, far from one another."""
@@ -100,7 +111,9 @@ class Shots:
                 with atomic_file(path) as temporary:
                     shape = (len(indices), camera.height, camera.width, 3)
                     stored = np.lib.format.open_memmap(temporary, "w+", np.uint8, shape)
-                    for place, frame in enumerate(self.footage.frames[view].frames(indices[0], indices[-1] + 1)):
+                    for place, frame in enumerate(
+                        self.footage.frames[view].frames(indices[0], indices[-1] + 1)
+                    ):
                         stored[place] = frame
                     stored.flush()
             self._frames[view] = np.load(path, mmap_mode="r")

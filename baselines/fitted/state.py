@@ -1,4 +1,7 @@
-"""State of a fit: a row per Gaussian, what all of them share, the optimiser's moments; and its checkpoint."""
+"""State of a fit: a row per Gaussian, what all of them share, the optimiser's moments.
+
+And its checkpoint.
+"""
 
 import io
 import pickle
@@ -30,10 +33,17 @@ MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam keeps of a tensor
 
 def first_gaussians(points: Points, degree: int, motion: Motion) -> Gaussians:
     """Round Gaussians at points, as large as the points are apart."""
-    cloud = GaussianCloud.of_points(points.means, points.colours, scale=points.spacings(), opacity=OPACITY, degree=degree)
+    cloud = GaussianCloud.of_points(
+        points.means, points.colours, scale=points.spacings(), opacity=OPACITY, degree=degree
+    )
     values = cloud.parameters()
     sh = values.pop("sh")
-    return {**values, "sh_base": sh[:, :1].clone(), "sh_rest": sh[:, 1:].clone(), **motion.start(points)}
+    return {
+        **values,
+        "sh_base": sh[:, :1].clone(),
+        "sh_rest": sh[:, 1:].clone(),
+        **motion.start(points),
+    }
 
 
 def box_of(means: Tensor) -> Tensor:
@@ -51,15 +61,25 @@ class FitState:
         gaussians: name -> leaf tensor, a row per Gaussian.
         motion: how they move; its parameters are learned too.
         optimiser: Adam, with one group for each tensor, named.
-        gradient_sum: norms of screen gradients since the last round of density control, in units of half the image, (N,).
+        gradient_sum: norms of screen gradients since the last round of density control, in units of
+            half the image, (N,).
         visits: views that have seen each Gaussian since then, (N,).
     """
 
-    def __init__(self, gaussians: Gaussians, motion: Motion, *, learns_gaussians: bool = True) -> None:
-        self.gaussians = {name: tensor.detach().clone().requires_grad_(learns_gaussians) for name, tensor in gaussians.items()}
+    def __init__(
+        self, gaussians: Gaussians, motion: Motion, *, learns_gaussians: bool = True
+    ) -> None:
+        self.gaussians = {
+            name: tensor.detach().clone().requires_grad_(learns_gaussians)
+            for name, tensor in gaussians.items()
+        }
         self.motion = motion
         self.step = 0
-        shared = {f"{SHARED}{name}": value for name, value in motion.named_parameters() if value.requires_grad}
+        shared = {
+            f"{SHARED}{name}": value
+            for name, value in motion.named_parameters()
+            if value.requires_grad
+        }
         learned = (self.gaussians if learns_gaussians else {}) | shared
         groups = [{"name": name, "params": [tensor], "lr": 0.0} for name, tensor in learned.items()]
         self.optimiser = torch.optim.Adam(groups, eps=EPSILON, fused=True)
@@ -128,7 +148,18 @@ class FitState:
                     state.optimiser.state[group["params"][0]] = values["moments"][group["name"]]
             state.step = int(values["step"])
             state.gradient_sum, state.visits = values["gradient_sum"], values["visits"]
-        except (RuntimeError, KeyError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError) as error:
+        except (
+            RuntimeError,
+            KeyError,
+            ValueError,
+            TypeError,
+            EOFError,
+            AttributeError,
+            pickle.UnpicklingError,
+        ) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise TrainingError(f"{path}: wanted the state of this fit, got {reason}; move it away to restart the fit") from error
+            raise TrainingError(
+                f"{path}: wanted the state of this fit, got {reason}; move it away to restart the "
+                f"fit"
+            ) from error
         return state

@@ -53,7 +53,11 @@ def _cut(path: Path, last: int) -> None:
     if not path.is_file():
         return
     header, *lines = path.read_text(encoding="utf-8").splitlines()
-    steps = [line for line in lines if line.count(",") == header.count(",") and int(line.split(",")[0]) <= last]
+    steps = [
+        line
+        for line in lines
+        if line.count(",") == header.count(",") and int(line.split(",")[0]) <= last
+    ]
     path.write_text("\n".join([header, *steps]) + "\n", encoding="utf-8")
 
 
@@ -79,14 +83,23 @@ def _draw_loss(axes: "Axes", log: pd.DataFrame) -> None:
     """Each step's loss, and the running median."""
     loss = log["loss"].where(log["loss"] > 0)
     axes.plot(log["step"], loss, color=RAW, linewidth=0.5, label="loss of a batch")
-    axes.plot(log["step"], loss.rolling(SMOOTHED, min_periods=1, center=True).median(), color=LINE, label=f"median of {SMOOTHED}")
+    axes.plot(
+        log["step"],
+        loss.rolling(SMOOTHED, min_periods=1, center=True).median(),
+        color=LINE,
+        label=f"median of {SMOOTHED}",
+    )
     axes.set_yscale("log")
 
 
 def _draw_validation(axes: "Axes", validation: pd.DataFrame) -> None:
     """The first figure of the validation, and that of its reference where it has one."""
     evaluated = validation.columns[1]
-    axes.plot(validation["step"], validation[evaluated], "o-", color=LINE, markersize=3, label=evaluated)
+    axes.plot(
+        validation["step"], validation[evaluated], "o-", color=LINE, markersize=3, label=evaluated
+    )
     for reference in (f"{prefix}{evaluated}" for prefix in REFERENCES):
         if reference in validation:
-            axes.plot(validation["step"], validation[reference], "--", color=REFERENCE, label=reference)
+            axes.plot(
+                validation["step"], validation[reference], "--", color=REFERENCE, label=reference
+            )

@@ -1,4 +1,6 @@
-"""FWD (Cao, Rockwell, Johnson, CVPR 2022): features of every view warped forward as points, fused by attention, decoded."""
+"""FWD (Cao, Rockwell, Johnson, CVPR 2022): features of every view warped forward as points, fused
+by attention, decoded.
+"""
 
 from ggvs_eval.baselines.learned import LearnedBaseline
 

@@ -1,6 +1,7 @@
 """FWD as a method: each instant from its own source frames and the depth that comes with them.
 
-Source views are carried into the target at half its size: their points, what each of them knows, and where they are seen.
+Source views are carried into the target at half its size: their points, what each of them knows,
+and where they are seen.
 """
 
 import math
@@ -15,7 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.baselines.fwd.network import POINTS_PER_PIXEL, FwdNetwork, direction_change, load_network
+from ggvs_eval.baselines.fwd.network import (
+    POINTS_PER_PIXEL,
+    FwdNetwork,
+    direction_change,
+    load_network,
+)
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
@@ -28,11 +34,14 @@ SIZE_MULTIPLE = 4  # the decoder halves half the size once more
 
 @dataclass(frozen=True)
 class Fwd:
-    """FWD-D (Cao et al. 2022), the variant that is given depth; nothing is remembered from instant to instant.
+    """FWD-D (Cao et al. 2022), the variant that is given depth.
+
+    Nothing is remembered from instant to instant.
 
     Attributes:
         weights: file of its weights, see `load_network`.
-        points_per_pixel: most points that a view blends at a pixel; by default as many as the weights were trained with.
+        points_per_pixel: most points that a view blends at a pixel; by default as many as the
+            weights were trained with.
     """
 
     weights: Path
@@ -42,7 +51,9 @@ class Fwd:
     def __post_init__(self) -> None:
         """Refuse options that mean nothing."""
         if self.points_per_pixel is not None and self.points_per_pixel < 1:
-            raise RenderError(f"FWD: wanted at least one point per pixel, got {self.points_per_pixel}")
+            raise RenderError(
+                f"FWD: wanted at least one point per pixel, got {self.points_per_pixel}"
+            )
         compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
@@ -55,7 +66,9 @@ class Fwd:
             warped = clock_s(device)
             image = decode_views(network, instant, views)
         rendered = np.ascontiguousarray(image.permute(1, 2, 0).numpy(force=True))
-        return Rendering(rendered, None, {"warp": warped - started, "decode": clock_s(device) - warped})
+        return Rendering(
+            rendered, None, {"warp": warped - started, "decode": clock_s(device) - warped}
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +86,8 @@ class HalfView:
 
 
 def halve(source: SourceView) -> HalfView:
-    """Mean colour of each 2 x 2 pixels, and the first known depth among them in reading order, so that none is invented.
+    """Mean colour of each 2 x 2 pixels, and the first known depth among them in reading order, so
+    that none is invented.
 
     An odd row or column at the end is repeated.
     """
@@ -87,7 +101,9 @@ def halve(source: SourceView) -> HalfView:
 
 
 def halved_camera(camera: Camera, multiple: int) -> Camera:
-    """Return the camera at half its size, after its window was grown to the right and downwards to multiples of N pixels."""
+    """Return the camera at half its size, after its window was grown to the right and downwards to
+    multiples of N pixels.
+    """
     width, height = (-(-side // multiple) * multiple for side in camera.size)
     return camera.cropped(0, 0, width, height).resized(width // 2, height // 2)
 
@@ -114,12 +130,17 @@ class PointSplat:
 
 
 def splat_points(
-    points: Tensor, features: Tensor, target: Camera, near: float, radius_px: float = RADIUS_PX, count: int = POINTS_PER_PIXEL
+    points: Tensor,
+    features: Tensor,
+    target: Camera,
+    near: float,
+    radius_px: float = RADIUS_PX,
+    count: int = POINTS_PER_PIXEL,
 ) -> PointSplat:
     """Render points front to back.
 
-    A point at distance d < r from a pixel's centre covers it by 1 - sqrt(d^2 / r^2); of those that do, the `count` nearest to the
-    camera are blended, equal depths in the order of the points.
+    A point at distance d < r from a pixel's centre covers it by 1 - sqrt(d^2 / r^2); of those that
+    do, the `count` nearest to the camera are blended, equal depths in the order of the points.
 
     Args:
         points: in the target camera, (N, 3), float64, world units.
@@ -143,17 +164,34 @@ def splat_points(
     return PointSplat(blended.T.reshape(-1, *shape), (1 - light).view(shape))
 
 
-def _pairs(points: Tensor, target: Camera, near: float, radius_px: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Every pixel that a point covers, by pixel and nearest point first: flat pixel, index of the point, alpha; (M,) each."""
+def _pairs(
+    points: Tensor, target: Camera, near: float, radius_px: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Every pixel that a point covers, by pixel and nearest point first: flat pixel, index of the
+    point, alpha; (M,) each.
+    """
     indices = torch.nonzero(points[:, 2] > near)[:, 0]
     indices = indices[torch.sort(points[indices, 2], stable=True).indices]
     x, y, z = points[indices].unbind(dim=1)
-    centres = torch.stack([x / z * target.K[0, 0] + target.K[0, 2], y / z * target.K[1, 1] + target.K[1, 2]], dim=1) - 0.5
+    centres = (
+        torch.stack(
+            [x / z * target.K[0, 0] + target.K[0, 2], y / z * target.K[1, 1] + target.K[1, 2]],
+            dim=1,
+        )
+        - 0.5
+    )
     steps = torch.arange(math.ceil(2 * radius_px))
     places = torch.ceil(centres - radius_px)[:, :, None] + steps  # (N, 2, n)
     columns, rows = places[:, 0, None, :], places[:, 1, :, None]
-    square = (columns - centres[:, 0, None, None]) ** 2 + (rows - centres[:, 1, None, None]) ** 2  # (N, n, n)
-    covered = (columns >= 0) & (columns < target.width) & (rows >= 0) & (rows < target.height) & (square < radius_px**2)
+    # (N, n, n)
+    square = (columns - centres[:, 0, None, None]) ** 2 + (rows - centres[:, 1, None, None]) ** 2
+    covered = (
+        (columns >= 0)
+        & (columns < target.width)
+        & (rows >= 0)
+        & (rows < target.height)
+        & (square < radius_px**2)
+    )
     owner = torch.nonzero(covered)[:, 0]  # by point, so still nearest first
     pixels = (rows * target.width + columns)[covered].long()
     alphas = (1 - torch.sqrt(square[covered].clamp(min=TINY)) / radius_px).float()
@@ -162,9 +200,16 @@ def _pairs(points: Tensor, target: Camera, near: float, radius_px: float) -> tup
 
 
 def warp_view(
-    network: FwdNetwork, view: HalfView, target: Camera, near: float, smallest: float, count: int = POINTS_PER_PIXEL
+    network: FwdNetwork,
+    view: HalfView,
+    target: Camera,
+    near: float,
+    smallest: float,
+    count: int = POINTS_PER_PIXEL,
 ) -> PointSplat:
-    """Return the features of a view as the target sees them; gradients reach the network's parameters.
+    """Return the features of a view as the target sees them.
+
+    Gradients reach the network's parameters.
 
     Args:
         near: points at or before this depth in the target are left out, world units.
@@ -172,8 +217,9 @@ def warp_view(
         count: most points per pixel.
 
     Reading:
-        Directions are taken in the target camera's frame, so that the world's axes do not matter, and depth enters the completion
-        as a share of the largest inverse depth, 1 / `smallest`, so that its unit does not matter.
+        Directions are taken in the target camera's frame, so that the world's axes do not matter,
+        and depth enters the completion as a share of the largest inverse depth, 1 / `smallest`, so
+        that its unit does not matter.
     """
     images = torch.as_tensor(view.image).permute(2, 0, 1)[None].contiguous()
     depth = _completed(network, images, torch.as_tensor(view.depth), smallest).flatten()
@@ -186,7 +232,10 @@ def warp_view(
 
 
 def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: float) -> Tensor:
-    """Return the depth (H, W) after the completion, if the network has one; world units, 0 where unknown."""
+    """Return the depth (H, W) after the completion, if the network has one.
+
+    World units, 0 where unknown.
+    """
     if network.completion is None:
         return depth
     share = torch.where(depth > 0, smallest / depth, torch.zeros(())).clamp(max=1)
@@ -195,21 +244,35 @@ def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: flo
 
 
 def _rays(camera: Camera, target: Camera) -> tuple[Tensor, Tensor]:
-    """Return each pixel's ray at depth 1, (H * W, 3), and the camera's centre, (3,), in the target camera, float64."""
+    """Return each pixel's ray at depth 1, (H * W, 3), and the camera's centre, (3,), in the target
+    camera, float64.
+    """
     rays = camera.rays().reshape(-1, 3) @ target.rotation.T
-    return torch.as_tensor(rays), torch.as_tensor(np.array(target.rotation @ camera.centre + target.translation))
+    return torch.as_tensor(rays), torch.as_tensor(
+        np.array(target.rotation @ camera.centre + target.translation)
+    )
 
 
-def warp_views(network: FwdNetwork, instant: Instant, points_per_pixel: int | None = None) -> list[PointSplat]:
-    """Return the features of each source as the target sees them at half its size; gradients reach the network's parameters."""
+def warp_views(
+    network: FwdNetwork, instant: Instant, points_per_pixel: int | None = None
+) -> list[PointSplat]:
+    """Return the features of each source as the target sees them at half its size.
+
+    Gradients reach the network's parameters.
+    """
     target = halved_camera(instant.target, SIZE_MULTIPLE)
     near = instant.near_plane
     smallest = min(source.camera.near for source in instant.sources)
     count = points_per_pixel or network.config.points_per_pixel
-    return [warp_view(network, halve(source), target, near, smallest, count) for source in instant.sources]
+    return [
+        warp_view(network, halve(source), target, near, smallest, count)
+        for source in instant.sources
+    ]
 
 
 def decode_views(network: FwdNetwork, instant: Instant, views: Sequence[PointSplat]) -> Tensor:
     """Return the target view, (3, H, W) in [0, 1]."""
-    decoded = network.decode(torch.stack([view.features for view in views]), torch.stack([view.alpha for view in views]))
+    decoded = network.decode(
+        torch.stack([view.features for view in views]), torch.stack([view.alpha for view in views])
+    )
     return decoded[:, : instant.target.height, : instant.target.width].float() / 2 + 0.5

@@ -1,4 +1,5 @@
-"""FWD as a whole: features of each view, adapted to the target's direction, fused and decoded at twice the size; its weights.
+"""FWD as a whole: features of each view, adapted to the target's direction, fused and decoded at
+twice the size; its weights.
 
 Its parts are residual blocks after BigGAN, completion of depth, fusion of views by attention.
 """
@@ -18,14 +19,18 @@ from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 Resampling = Literal["same", "down", "up"]
-HALVINGS, WIDTH, WIDEST = 8, 32, 256  # of the completion: stride-2 levels, channels of the first, most channels of any
+# of the completion: stride-2 levels, channels of the first, most channels of any
+HALVINGS, WIDTH, WIDEST = 8, 32, 256
 COMPLETED_MULTIPLE = 2**HALVINGS
 SMALLEST_SHARE = 1e-4  # of the largest inverse depth; farther points would be at infinity
 HEADS, KEY_WIDTH, VALUE_WIDTH = 4, 16, 64  # widths are those of one head
 PIXELS_AT_ONCE = 16384  # that the fusion looks at
-UNSEEN = -1e9  # added to the logit of a view that shows nothing; where none shows anything, all weigh the same
+# added to the logit of a view that shows nothing; where none shows anything, all weigh the same
+UNSEEN = -1e9
 DECODER_SIZES: tuple[Resampling, ...] = ("same", "down", "same", "same", "up", "same", "up", "same")
-POINTS_PER_PIXEL = 24  # the nearest of those whose disc covers the pixel; the published code takes 16 where it learns depth
+# the nearest of those whose disc covers the pixel; the published code takes 16 where it learns
+# depth
+POINTS_PER_PIXEL = 24
 DIRECTION_WIDTH = 4  # unit difference of two viewing directions, and their cosine
 OF = "FWD (this project's names)"
 
@@ -53,7 +58,14 @@ class FwdShape:
 
 CONFIGURATIONS = {
     "full": FwdShape(),
-    "compact": FwdShape(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8),
+    "compact": FwdShape(
+        width=32,
+        encoder=(16, 24, 24),
+        direction=(8, 16),
+        decoder=(32, 48, 64, 64, 48, 32, 16),
+        value=16,
+        points_per_pixel=8,
+    ),
 }
 
 
@@ -61,7 +73,8 @@ class FwdNetwork(nn.Module):
     """The network; names of its parameters are chosen here.
 
     Reading:
-        The encoder keeps the size; its widths between 3 and 61 are chosen here. Normalisation is by batch.
+        The encoder keeps the size; its widths between 3 and 61 are chosen here. Normalisation is by
+        batch.
     """
 
     def __init__(self, configuration: str = "full", completes_depth: bool = False) -> None:
@@ -72,14 +85,23 @@ class FwdNetwork(nn.Module):
         decoder = (config.width, *config.decoder, 3)
         first, second = config.direction
         self.completion = DepthCompletion() if completes_depth else None
-        self.encoder = nn.Sequential(*(ResidualBlock(before, after) for before, after in pairwise(encoder)))
-        self.direction = nn.Sequential(nn.Conv2d(DIRECTION_WIDTH, first, 1), nn.ReLU(), nn.Conv2d(first, second, 1), nn.ReLU())
+        self.encoder = nn.Sequential(
+            *(ResidualBlock(before, after) for before, after in pairwise(encoder))
+        )
+        self.direction = nn.Sequential(
+            nn.Conv2d(DIRECTION_WIDTH, first, 1), nn.ReLU(), nn.Conv2d(first, second, 1), nn.ReLU()
+        )
         self.adaptation = nn.Sequential(
-            nn.Conv2d(config.width + second, config.width, 1), nn.ReLU(), nn.Conv2d(config.width, config.width, 1)
+            nn.Conv2d(config.width + second, config.width, 1),
+            nn.ReLU(),
+            nn.Conv2d(config.width, config.width, 1),
         )
         self.fusion = ViewFusion(config.width, config.value)
         self.decoder = nn.Sequential(
-            *(ResidualBlock(before, after, size) for (before, after), size in zip(pairwise(decoder), DECODER_SIZES, strict=True))
+            *(
+                ResidualBlock(before, after, size)
+                for (before, after), size in zip(pairwise(decoder), DECODER_SIZES, strict=True)
+            )
         )
 
     def view_features(self, images: Tensor, directions: Tensor) -> Tensor:
@@ -87,7 +109,8 @@ class FwdNetwork(nn.Module):
 
         Args:
             images: (B, 3, H, W) in [-1, 1].
-            directions: how the viewing direction changes from the source to the target, (B, 4, H, W), see `direction_change`.
+            directions: how the viewing direction changes from the source to the target, (B, 4, H,
+                W), see `direction_change`.
 
         Returns:
             (B, width, H, W).
@@ -120,7 +143,9 @@ def direction_change(to_source: Tensor, to_target: Tensor) -> Tensor:
     Returns:
         The unit difference of both directions (0 if they agree) and their cosine, (N, 4).
     """
-    source, target = (torch.nn.functional.normalize(towards, dim=1) for towards in (to_source, to_target))
+    source, target = (
+        torch.nn.functional.normalize(towards, dim=1) for towards in (to_source, to_target)
+    )
     difference = torch.nn.functional.normalize(source - target, dim=1, eps=1e-6)
     return torch.cat([difference, (source * target).sum(dim=1, keepdim=True)], dim=1)
 
@@ -142,8 +167,8 @@ class ResidualBlock(nn.Module):
     """Two 3x3 convolutions, each after normalisation and ReLU, with a 1x1 shortcut.
 
     Args:
-        resampling: ``up`` doubles the size before the first convolution (nearest neighbour), ``down`` halves it after the second
-            (mean of four); the shortcut does the same.
+        resampling: ``up`` doubles the size before the first convolution (nearest neighbour),
+            ``down`` halves it after the second (mean of four); the shortcut does the same.
     """
 
     def __init__(self, width_in: int, width: int, resampling: Resampling = "same") -> None:
@@ -162,7 +187,11 @@ class ResidualBlock(nn.Module):
         return shortcut + residual
 
     def _grown(self, features: Tensor) -> Tensor:
-        return functional.interpolate(features, scale_factor=2, mode="nearest") if self.resampling == "up" else features
+        return (
+            functional.interpolate(features, scale_factor=2, mode="nearest")
+            if self.resampling == "up"
+            else features
+        )
 
     def _shrunk(self, features: Tensor) -> Tensor:
         return functional.avg_pool2d(features, 2) if self.resampling == "down" else features
@@ -172,16 +201,18 @@ class DepthCompletion(nn.Module):
     """Inverse depth everywhere from an image and the inverse depth that is known.
 
     Reading:
-        Every convolution except the last has spectral normalisation. Widths double from 32 to 256 and stay there; each level
-        downwards is a 4x4 convolution of stride 2, each level upwards doubles bilinearly and convolves 3x3 next to what was seen
-        at that size on the way down. The answer replaces known depth, too.
+        Every convolution except the last has spectral normalisation. Widths double from 32 to 256
+        and stay there; each level downwards is a 4x4 convolution of stride 2, each level upwards
+        doubles bilinearly and convolves 3x3 next to what was seen at that size on the way down. The
+        answer replaces known depth, too.
     """
 
     def __init__(self) -> None:
         super().__init__()
         widths = [4, *(min(WIDTH * 2**level, WIDEST) for level in range(HALVINGS))]
         self.down = nn.ModuleList(
-            spectral_norm(nn.Conv2d(before, after, 4, stride=2, padding=1)) for before, after in pairwise(widths)
+            spectral_norm(nn.Conv2d(before, after, 4, stride=2, padding=1))
+            for before, after in pairwise(widths)
         )
         self.up = nn.ModuleList(
             spectral_norm(nn.Conv2d(coarse + fine, fine if level else WIDTH, 3, padding=1))
@@ -206,7 +237,9 @@ class DepthCompletion(nn.Module):
             skips.append(functional.leaky_relu(convolution(skips[-1]), 0.2))
         features = skips.pop()
         for convolution, before in zip(reversed(self.up), reversed(skips), strict=True):
-            grown = functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
+            grown = functional.interpolate(
+                features, scale_factor=2, mode="bilinear", align_corners=False
+            )
             features = functional.relu(convolution(torch.cat([grown, before], dim=1)))
         share = torch.sigmoid(self.last(features))[:, :, :height, :width]
         return share.clamp(min=SMALLEST_SHARE)
@@ -216,8 +249,8 @@ class ViewFusion(nn.Module):
     """Multi-head attention over views, pixel by pixel; any number of views, in any order.
 
     Reading:
-        The token is added to what the heads give, then a layer normalisation follows. A view without a point at a pixel is left
-        out there.
+        The token is added to what the heads give, then a layer normalisation follows. A view
+        without a point at a pixel is left out there.
     """
 
     def __init__(self, width: int, value_width: int = VALUE_WIDTH) -> None:

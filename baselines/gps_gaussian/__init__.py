@@ -1,4 +1,6 @@
-"""GPS-Gaussian (Zheng et al., CVPR 2024): stereo of one rectified pair, one Gaussian per pixel, all of them rendered at once."""
+"""GPS-Gaussian (Zheng et al., CVPR 2024): stereo of one rectified pair, one Gaussian per pixel, all
+of them rendered at once.
+"""
 
 from dataclasses import replace
 

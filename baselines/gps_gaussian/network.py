@@ -1,6 +1,9 @@
-"""GPS-Gaussian as a whole: features of both images, stereo between them, Gaussians of every pixel; and its weights.
+"""GPS-Gaussian as a whole: features of both images, stereo between them, Gaussians of every pixel.
 
-Names of modules are those of the published checkpoint. It also holds two units of coarser levels that are never run.
+And its weights.
+
+Names of modules are those of the published checkpoint. It also holds two units of coarser levels
+that are never run.
 
 Names of modules are those of the published checkpoint.
 """
@@ -32,8 +35,9 @@ Pyramid = tuple[Tensor, Tensor, Tensor]  # features at 1/2, 1/4 and 1/8 of the s
 SIZE_MULTIPLE = 8  # sides of the images are multiples of it
 ITERATIONS = 3  # of the published network, in training and after
 OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
-# Until version 2.0 torch kept one of its functions in the state of a OneCycleLR scheduler, as `getattr` of the class by name,
-# and the authors' checkpoint holds such a state. What is read in place of both calls is nothing at all.
+# Until version 2.0 torch kept one of its functions in the state of a OneCycleLR scheduler, as
+# `getattr` of the class by name, and the authors' checkpoint holds such a state. What is read in
+# place of both calls is nothing at all.
 FORGOTTEN = ("builtins.getattr", "torch.optim.lr_scheduler.OneCycleLR")
 
 
@@ -58,33 +62,48 @@ class Stereo(nn.Module):
             iterations: number of updates, at least 1.
 
         Returns:
-            Horizontal flow in pixels, (2, 1, H, W): column of the match in the other image less the own column.
+            Horizontal flow in pixels, (2, 1, H, W): column of the match in the other image less the
+            own column.
         """
         matched, hidden, context = self.cnet(features)
-        block, states = self.update_module["update_block"], [(torch.tanh(hidden), torch.relu(context))]
+        block, states = (
+            self.update_module["update_block"],
+            [(torch.tanh(hidden), torch.relu(context))],
+        )
         assert isinstance(block, UpdateBlock)
-        flows, weights = walk(block, self.context_zqr_convs, matched, matched.flip(0), states, iterations)
+        flows, weights = walk(
+            block, self.context_zqr_convs, matched, matched.flip(0), states, iterations
+        )
         return upsample_convex(flows[-1], weights, SHAPE.factor)
 
 
 class ContextEncoder(nn.Module):
-    """From the features of an image: what is correlated, where the recurrent state starts, and its context ('cnet')."""
+    """From the features of an image: what is correlated, where the recurrent state starts, and its
+    context ('cnet').
+    """
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.conv2 = nn.Sequential(residual_block(width, width), nn.Conv2d(width, 2 * width, 3, padding=1))
+        self.conv2 = nn.Sequential(
+            residual_block(width, width), nn.Conv2d(width, 2 * width, 3, padding=1)
+        )
         self.outputs08 = nn.ModuleList(
-            nn.Sequential(residual_block(width, width), nn.Conv2d(width, HIDDEN, 3, padding=1)) for _ in ("hidden", "context")
+            nn.Sequential(residual_block(width, width), nn.Conv2d(width, HIDDEN, 3, padding=1))
+            for _ in ("hidden", "context")
         )
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(B, C, H, W) to features (B, 2 C, H, W), and state and context before their activations, (B, HIDDEN, H, W)."""
+        """(B, C, H, W) to features (B, 2 C, H, W), and state and context before their activations,
+        (B, HIDDEN, H, W).
+        """
         hidden, context = (head(features) for head in self.outputs08)
         return self.conv2(features), hidden, context
 
 
 class PyramidEncoder(nn.Module):
-    """A 5x5 convolution that halves, then three stages of two residual blocks; the last two halve again.
+    """A 5x5 convolution that halves, then three stages of two residual blocks.
+
+    The last two halve again.
 
     Args:
         channels: of the input: 3 for images, 1 for inverse depth.
@@ -94,7 +113,9 @@ class PyramidEncoder(nn.Module):
         super().__init__()
         narrow, middle, wide = widths
         self.in_ds = nn.Sequential(
-            nn.Conv2d(channels, STEM_WIDTH, 5, stride=2, padding=2), nn.GroupNorm(STEM_GROUPS, STEM_WIDTH), nn.ReLU()
+            nn.Conv2d(channels, STEM_WIDTH, 5, stride=2, padding=2),
+            nn.GroupNorm(STEM_GROUPS, STEM_WIDTH),
+            nn.ReLU(),
         )
         self.res1 = two_blocks(STEM_WIDTH, narrow)
         self.res2 = two_blocks(narrow, middle, stride=2)
@@ -114,7 +135,7 @@ def two_blocks(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
 
 def residual_block(width_in: int, width: int, stride: int = 1) -> ResidualBlock:
     """Return a residual block with group normalisation."""
-    return ResidualBlock(width_in, width, _normalisation, stride)
+    return ResidualBlock(width_in=width_in, width=width, normalise=_normalisation, stride=stride)
 
 
 def _normalisation(width: int) -> nn.Module:
@@ -143,7 +164,9 @@ class GaussianRegressor(nn.Module):
     """
 
     def __init__(
-        self, encoder_widths: tuple[int, int, int] = (32, 48, 96), decoder_widths: tuple[int, int, int] = (48, 64, 96)
+        self,
+        encoder_widths: tuple[int, int, int] = (32, 48, 96),
+        decoder_widths: tuple[int, int, int] = (48, 64, 96),
     ) -> None:
         super().__init__()
         half, quarter, eighth = encoder_widths
@@ -157,7 +180,9 @@ class GaussianRegressor(nn.Module):
         self.scale_head = _head(3)
         self.opacity_head = _head(1)
 
-    def forward(self, images: Tensor, inverse_depth: Tensor, image_features: Pyramid) -> GaussianMaps:
+    def forward(
+        self, images: Tensor, inverse_depth: Tensor, image_features: Pyramid
+    ) -> GaussianMaps:
         """Return the Gaussians of some views.
 
         Args:
@@ -166,12 +191,15 @@ class GaussianRegressor(nn.Module):
             image_features: features of the images at 1/2, 1/4 and 1/8 of their size.
         """
         half, quarter, eighth = (
-            torch.cat(pair, dim=1) for pair in zip(image_features, self.depth_encoder(inverse_depth), strict=True)
+            torch.cat(pair, dim=1)
+            for pair in zip(image_features, self.depth_encoder(inverse_depth), strict=True)
         )
         decoded = _double(self.decoder3(eighth))
         decoded = _double(self.decoder2(torch.cat([decoded, quarter], dim=1)))
         decoded = _double(self.decoder1(torch.cat([decoded, half], dim=1)))
-        features = functional.relu(self.out_conv(torch.cat([decoded, images, inverse_depth], dim=1)))
+        features = functional.relu(
+            self.out_conv(torch.cat([decoded, images, inverse_depth], dim=1))
+        )
         return GaussianMaps(
             functional.normalize(self.rot_head(features), dim=1),
             functional.softplus(self.scale_head(features), beta=100).clamp(max=MAX_SCALE_M),
@@ -180,7 +208,11 @@ class GaussianRegressor(nn.Module):
 
 
 def _head(channels: int) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(HEAD_WIDTH, HEAD_WIDTH, 3, padding=1), nn.ReLU(), nn.Conv2d(HEAD_WIDTH, channels, 1))
+    return nn.Sequential(
+        nn.Conv2d(HEAD_WIDTH, HEAD_WIDTH, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(HEAD_WIDTH, channels, 1),
+    )
 
 
 def _double(features: Tensor) -> Tensor:
@@ -196,8 +228,8 @@ class GpsGaussianShape:
         decoder_widths: channels of the decoder there.
         stereo: whether it finds depth itself; without, depth must be given.
         pairs: how many pairs are rendered together.
-        rotations_in: what rotations refer to: the ``world``, or the rectified ``camera``, which makes the output independent of
-            the choice of the world's axes.
+        rotations_in: what rotations refer to: the ``world``, or the rectified ``camera``, which
+            makes the output independent of the choice of the world's axes.
         entire: whether rectified canvases hold the whole images, see `rectify`.
     """
 
@@ -211,7 +243,9 @@ class GpsGaussianShape:
 
 CONFIGURATIONS = {
     "full": GpsGaussianShape(),
-    "compact": GpsGaussianShape((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", entire=True),
+    "compact": GpsGaussianShape(
+        (16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", entire=True
+    ),
 }
 
 
@@ -227,22 +261,30 @@ class GpsGaussianNetwork(nn.Module):
         self.gs_parm_regresser = GaussianRegressor(config.widths, config.decoder_widths)
 
     def features(self, images: Tensor) -> Pyramid:
-        """Return the features of a rectified pair (2, 3, H, W) in [-1, 1], left image first, at 1/2, 1/4 and 1/8 of the size."""
+        """Return the features of a rectified pair (2, 3, H, W) in [-1, 1], left image first, at
+        1/2, 1/4 and 1/8 of the size.
+        """
         pyramid: Pyramid = self.img_encoder(images)
         return pyramid
 
     def flow(self, features: Pyramid, iterations: int = ITERATIONS) -> Tensor:
-        """Return the column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
+        """Return the column of each pixel's match in the other image less its own, pixels, (2, 1,
+        H, W).
+        """
         if self.raft_stereo is None:
             raise WeightsError(
-                f"GPS-Gaussian ({self.configuration}) finds no depth; render gps-gaussian+given-depth, or give the "
-                "authors' checkpoint by --weights gps-gaussian=FILE"
+                f"GPS-Gaussian ({self.configuration}) finds no depth; render "
+                "gps-gaussian+given-depth, or give the authors' checkpoint by --weights "
+                "gps-gaussian=FILE"
             )
         flow: Tensor = self.raft_stereo(features[2], iterations)
         return flow
 
     def gaussians(self, images: Tensor, inverse_depth: Tensor, features: Pyramid) -> GaussianMaps:
-        """Return the Gaussian of every pixel; inverse depth is per metre, (2, 1, H, W), 0 = unknown."""
+        """Return the Gaussian of every pixel.
+
+        Inverse depth is per metre, (2, 1, H, W), 0 = unknown.
+        """
         maps: GaussianMaps = self.gs_parm_regresser(images, inverse_depth, features)
         return maps
 
@@ -252,11 +294,13 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
     """Return the network of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint (a dict with ``network``, ``total_steps``, ``optimizer`` and ``scheduler``), or
-            safetensors whose names begin with ``network.``, or the output of `ggvs-eval train`.
+        path: the authors' checkpoint (a dict with ``network``, ``total_steps``, ``optimizer`` and
+            ``scheduler``), or safetensors whose names begin with ``network.``, or the output of
+            `ggvs-eval train`.
 
     Raises:
-        WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
+        WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of
+            another network.
     """
     configuration = configuration_of(path, CONFIGURATIONS, OF)
     with safe_globals([(_nothing, name) for name in FORGOTTEN]):

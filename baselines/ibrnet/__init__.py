@@ -1,4 +1,6 @@
-"""IBRNet (Wang et al. 2021): colours of the source views, blended along each target ray by a network that was trained once."""
+"""IBRNet (Wang et al. 2021): colours of the source views, blended along each target ray by a
+network that was trained once.
+"""
 
 from ggvs_eval.baselines.learned import LearnedBaseline
 

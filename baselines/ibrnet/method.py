@@ -1,4 +1,6 @@
-"""IBRNet as a method: each instant from its own source frames, by the network that its authors trained."""
+"""IBRNet as a method: each instant from its own source frames, by the network that its authors
+trained.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -8,7 +10,13 @@ from torch import Tensor
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.network import SMALLEST_SIDE_PX, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import SeenView, depth_range, rays_at_once, render_rays, see
+from ggvs_eval.baselines.ibrnet.rendering import (
+    SeenView,
+    depth_range,
+    rays_at_once,
+    render_rays,
+    see,
+)
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
@@ -17,19 +25,25 @@ FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything
 
 
 class IBRNet:
-    """IBRNet (Wang et al., CVPR 2021), 64 coarse and 64 added samples per ray; depth maps are not used, nothing is remembered.
+    """IBRNet (Wang et al., CVPR 2021), 64 coarse and 64 added samples per ray.
+
+    Depth maps are not used, nothing is remembered.
 
     Args:
         weights: the authors' checkpoint, see `load_ibrnet`.
-        rays_per_chunk: rays that pass through the networks together; by default as many as suit the device.
+        rays_per_chunk: rays that pass through the networks together; by default as many as suit the
+            device.
 
     Reading:
-        Depths are searched from 0.9 times the nearest to 1.6 times the farthest of the cameras of the instant, the margins of
-        the authors' loader of real scenes, evenly in inverse depth, as their evaluation does. The authors' pixel centres are at
-        whole numbers; principal points are moved by half a pixel.
+        Depths are searched from 0.9 times the nearest to 1.6 times the farthest of the cameras of
+        the instant, the margins of the authors' loader of real scenes, evenly in inverse depth, as
+        their evaluation does. The authors' pixel centres are at whole numbers; principal points are
+        moved by half a pixel.
     """
 
-    def __init__(self, weights: Path, rays_per_chunk: int | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self, weights: Path, rays_per_chunk: int | None = None, device: str = "cpu"
+    ) -> None:
         self._device = compute_device(device)
         self._networks = load_ibrnet(weights).to(self._device)
         self._rays_per_chunk = rays_per_chunk
@@ -42,7 +56,10 @@ class IBRNet:
             views = see(self._networks, instant.sources)
             features_end_s = clock_s(self._device)
             image, depth = self._render(instant, views)
-        seconds = {"features": features_end_s - started, "rays": clock_s(self._device) - features_end_s}
+        seconds = {
+            "features": features_end_s - started,
+            "rays": clock_s(self._device) - features_end_s,
+        }
         return Rendering(image.numpy(force=True), depth.numpy(force=True), seconds)
 
     def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:
@@ -51,7 +68,9 @@ class IBRNet:
         near, far = depth_range(instant)
         centre = torch.as_tensor(target.centre).float()
         rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
-        together = self._rays_per_chunk or rays_at_once(len(views), self._networks.config.samples, self._device)
+        together = self._rays_per_chunk or rays_at_once(
+            len(views), self._networks.config.samples, self._device
+        )
         chunks = rays.split(together)
 
         def render(chunk: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,7 +78,8 @@ class IBRNet:
                 return render_rays(self._networks, views, centre, chunk, near, far)
 
         if self._device.type == "cpu":
-            with ThreadPoolExecutor(kernels.get_threads()) as pool:  # whole chunks, so that their number moves no bit
+            # whole chunks, so that their number moves no bit
+            with ThreadPoolExecutor(kernels.get_threads()) as pool:
                 parts = list(pool.map(render, chunks))
         else:  # what is made there is made so in the thread that asked for it alone
             parts = [render(chunk) for chunk in chunks]
@@ -71,12 +91,13 @@ class IBRNet:
 def _check(instant: Instant) -> None:
     if len(instant.sources) < FEWEST_VIEWS:
         raise RenderError(
-            f"IBRNet wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"
+            f"IBRNet wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise "
+            f"k in the protocol"
         )
     for source in instant.sources:
         if min(source.image.shape[:2]) < SMALLEST_SIDE_PX:
             height, width = source.image.shape[:2]
             raise RenderError(
-                f"camera {source.camera.name}: IBRNet wants images of at least {SMALLEST_SIDE_PX} pixels a side, "
-                f"got {width} x {height}; render at a larger size"
+                f"camera {source.camera.name}: IBRNet wants images of at least {SMALLEST_SIDE_PX} "
+                f"pixels a side, got {width} x {height}; render at a larger size"
             )

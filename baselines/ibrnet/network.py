@@ -1,8 +1,10 @@
-"""IBRNet's networks: the residual U-Net that sees the source images, and density and colour of a ray's samples; their weights.
+"""IBRNet's networks: the residual U-Net that sees the source images, and density and colour of a
+ray's samples; their weights.
 
 Names of modules are those of the published checkpoint.
 
-Names of modules are those of the published checkpoint. Instance normalisation makes images independent of each other.
+Names of modules are those of the published checkpoint. Instance normalisation makes images
+independent of each other.
 """
 
 from dataclasses import dataclass
@@ -26,7 +28,8 @@ PARTS = ("net_coarse", "net_fine", "feature_net")  # as the checkpoint calls the
 
 
 class FeatureNetwork(nn.Module):
-    """Three residual stages (3, 4 and 6 blocks) down to 1/16, two skip connections back to 1/4 of the image's size.
+    """Three residual stages (3, 4 and 6 blocks) down to 1/16, two skip connections back to 1/4 of
+    the image's size.
 
     Args:
         width: channels of the first stage; the next ones have twice and four times as many.
@@ -52,7 +55,8 @@ class FeatureNetwork(nn.Module):
             images: (B, 3, H, W), RGB in [0, 1], sides of at least 33 pixels.
 
         Returns:
-            (B, 32, h, w) twice, h = 4 * ceil(H / 16), w = 4 * ceil(W / 16): at 1/4 of the image's size.
+            (B, 32, h, w) twice, h = 4 * ceil(H / 16), w = 4 * ceil(W / 16): at 1/4 of the image's
+            size.
         """
         quarter = self.layer1(torch.relu(self.bn1(self.conv1(images))))
         eighth = self.layer2(quarter)
@@ -105,13 +109,18 @@ class _Upsampled(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, C, H, W) to (B, width, 2 H, 2 W)."""
-        larger = functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=True)
+        larger = functional.interpolate(
+            features, scale_factor=2, mode="bilinear", align_corners=True
+        )
         convolved: Tensor = self.conv(larger)
         return convolved
 
 
 def _beside(skipped: Tensor, upsampled: Tensor) -> Tensor:
-    """Both in one tensor of the upsampled one's size; zeros around the skipped one where a side was odd on the way down."""
+    """Both in one tensor of the upsampled one's size.
+
+    Zeros around the skipped one where a side was odd on the way down.
+    """
     missing = [upsampled.shape[axis] - skipped.shape[axis] for axis in (3, 2)]
     borders = [border for gap in missing for border in (gap // 2, gap - gap // 2)]
     return torch.cat([upsampled, functional.pad(skipped, borders)], dim=1)
@@ -122,8 +131,12 @@ def _stage(width_in: int, width: int, blocks: int) -> nn.Sequential:
     return nn.Sequential(first, *(ResidualBlock(width, width, stride=1) for _ in range(blocks - 1)))
 
 
-def _convolution(width_in: int, width: int, size: int, stride: int = 1, bias: bool = True) -> nn.Conv2d:
-    return nn.Conv2d(width_in, width, size, stride, padding=size // 2, padding_mode="reflect", bias=bias)
+def _convolution(
+    width_in: int, width: int, size: int, stride: int = 1, bias: bool = True
+) -> nn.Conv2d:
+    return nn.Conv2d(
+        width_in, width, size, stride, padding=size // 2, padding_mode="reflect", bias=bias
+    )
 
 
 @dataclass(frozen=True)
@@ -160,18 +173,22 @@ def load_ibrnet(path: Path) -> Networks:
     """Return the networks of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint, a dict with ``net_coarse``, ``net_fine`` and ``feature_net``, or safetensors whose names
-            begin so.
+        path: the authors' checkpoint, a dict with ``net_coarse``, ``net_fine`` and ``feature_net``,
+            or safetensors whose names begin so.
     """
     networks = Networks(configuration_of(path, CONFIGURATIONS, "IBRNet") or FULL)
     for part in PARTS:
         model = f"IBRNet's {part}"
-        load_strict(read_tensors(path, part, model=model), networks.get_submodule(part), path, model)
+        load_strict(
+            read_tensors(path, part, model=model), networks.get_submodule(part), path, model
+        )
     return networks.eval().requires_grad_(False)
 
 
 class RayNetwork(nn.Module):
-    """Pools the views at each sample, lets the samples of a ray attend to each other, and blends the views' colours."""
+    """Pools the views at each sample, lets the samples of a ray attend to each other, and blends
+    the views' colours.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -185,12 +202,16 @@ class RayNetwork(nn.Module):
         self.out_geometry_fc = _layers(WIDTH, 16, 1, last=nn.ReLU())
         self.rgb_fc = _layers(37, 16, 8, 1)
 
-    def forward(self, view_features: Tensor, directions: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, view_features: Tensor, directions: Tensor, visible: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Return the colour and density of each sample.
 
         Args:
-            view_features: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the order of the ray.
-            directions: unit difference of the target's and the view's ray, and their dot product, (R, S, K, 4).
+            view_features: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the
+                order of the ray.
+            directions: unit difference of the target's and the view's ray, and their dot product,
+                (R, S, K, 4).
             visible: whether the sample is in the view's image, (R, S, K, 1), bool.
 
         Returns:
@@ -200,13 +221,20 @@ class RayNetwork(nn.Module):
         features, visibility = self._per_view(view_features, directions, mask)
         weights = visibility / (visibility.sum(dim=2, keepdim=True) + EPSILON)
         mean, variance = weighted_moments(features, weights)
-        pooled = torch.cat([mean, variance, weights.mean(dim=2, keepdim=True)], dim=-1)[:, :, 0]  # (R, S, 65)
+        # (R, S, 65)
+        pooled = torch.cat([mean, variance, weights.mean(dim=2, keepdim=True)], dim=-1)[:, :, 0]
         density = self._density(pooled, visible.sum(dim=2))
-        scores = self.rgb_fc(torch.cat([features, visibility, directions], dim=-1)).masked_fill(~visible, -1e9)
+        scores = self.rgb_fc(torch.cat([features, visibility, directions], dim=-1)).masked_fill(
+            ~visible, -1e9
+        )
         return (torch.softmax(scores, dim=2) * view_features[..., :3]).sum(dim=2), density
 
-    def _per_view(self, view_features: Tensor, directions: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the features (R, S, K, 32) and visibility (R, S, K, 1) of each view, each knowing what the others see."""
+    def _per_view(
+        self, view_features: Tensor, directions: Tensor, mask: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the features (R, S, K, 32) and visibility (R, S, K, 1) of each view, each knowing
+        what the others see.
+        """
         features = view_features + self.ray_dir_fc(directions)
         weights = self._direction_weights(directions[..., 3:], mask)
         features = self._base(torch.cat(weighted_moments(features, weights), dim=-1), features)
@@ -215,20 +243,29 @@ class RayNetwork(nn.Module):
         return features, self.vis_fc2(features * (torch.sigmoid(visibility) * mask)) * mask
 
     def _base(self, pooled: Tensor, features: Tensor) -> Tensor:
-        """`base_fc` of both side by side, (R, S, K, 32); what the views share, (R, S, 1, 70), is multiplied once for all."""
-        of_pooled, of_features = self.base_fc.get_parameter("0.weight").split([2 * SEEN, SEEN], dim=1)
+        """`base_fc` of both side by side, (R, S, K, 32).
+
+        What the views share, (R, S, 1, 70), is multiplied once for all.
+        """
+        of_pooled, of_features = self.base_fc.get_parameter("0.weight").split(
+            [2 * SEEN, SEEN], dim=1
+        )
         shared = functional.linear(pooled, of_pooled, self.base_fc.get_parameter("0.bias"))
         hidden: Tensor = self.base_fc[1:](functional.linear(features, of_features) + shared)
         return hidden
 
     def _direction_weights(self, dots: Tensor, mask: Tensor) -> Tensor:
-        """Views that look along the target's ray weigh most, the worst one nothing ("anti-alias pooling"), (R, S, K, 1)."""
+        """Views that look along the target's ray weigh most, the worst one nothing ("anti-alias
+        pooling"), (R, S, K, 1).
+        """
         closeness = torch.exp(self.s.abs() * (dots - 1))
         weights = (closeness - closeness.amin(dim=2, keepdim=True)) * mask
         return weights / (weights.sum(dim=2, keepdim=True) + EPSILON)
 
     def _density(self, pooled: Tensor, views: Tensor) -> Tensor:
-        """Return the density (R, S) from pooled features (R, S, 65) and the number of views that see each sample, (R, S, 1)."""
+        """Return the density (R, S) from pooled features (R, S, 65) and the number of views that
+        see each sample, (R, S, 1).
+        """
         samples = self.geometry_fc(pooled)
         samples = samples + positions(samples.shape[1]).to(samples)
         density = self.out_geometry_fc(self.ray_attention(samples, views > 1))
@@ -247,26 +284,37 @@ class RayAttention(nn.Module):
         self.layer_norm = nn.LayerNorm(WIDTH, eps=1e-6)
 
     def forward(self, samples: Tensor, attends: Tensor) -> Tensor:
-        """(R, S, 16) to (R, S, 16); a sample that does not attend, (R, S, 1) False, takes the mean of all."""
+        """(R, S, 16) to (R, S, 16).
+
+        A sample that does not attend, (R, S, 1) False, takes the mean of all.
+        """
         rays, count, _ = samples.shape
         queries, keys, values = (
             projection(samples).view(rays, count, HEADS, -1).transpose(1, 2)  # (R, heads, S, 4)
             for projection in (self.w_qs, self.w_ks, self.w_vs)
         )
         asking = queries * attends[:, None]  # equal scores of all keys where nothing is asked
-        mixed = functional.scaled_dot_product_attention(asking, keys, values).transpose(1, 2).reshape(rays, count, WIDTH)
+        mixed = (
+            functional.scaled_dot_product_attention(asking, keys, values)
+            .transpose(1, 2)
+            .reshape(rays, count, WIDTH)
+        )
         normalised: Tensor = self.layer_norm(self.fc(mixed) + samples)
         return normalised
 
 
 def weighted_moments(features: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the mean and variance over the views: (R, S, K, C) and weights (R, S, K, 1) to (R, S, 1, C) twice."""
+    """Return the mean and variance over the views: (R, S, K, C) and weights (R, S, K, 1) to (R, S,
+    1, C) twice.
+    """
     mean = (features * weights).sum(dim=2, keepdim=True)
     return mean, (weights * (features - mean) ** 2).sum(dim=2, keepdim=True)
 
 
 def positions(count: int) -> Tensor:
-    """Sinusoids that distinguish the samples of a ray (Vaswani et al. 2017), (1, count, 16), float64."""
+    """Sinusoids that distinguish the samples of a ray (Vaswani et al. 2017), (1, count, 16),
+    float64.
+    """
     channel = torch.arange(WIDTH, dtype=torch.float64)
     rates = 10000.0 ** (-2 * torch.div(channel, 2, rounding_mode="floor") / WIDTH)
     angles = torch.arange(count, dtype=torch.float64)[:, None] * rates

@@ -1,4 +1,5 @@
-"""Rays of the target through the networks: places of samples, a coarse pass, a fine pass where it found something.
+"""Rays of the target through the networks: places of samples, a coarse pass, a fine pass where it
+found something.
 
 Source views are looked up at points of the world.
 """
@@ -25,11 +26,14 @@ FARTHEST_PX = 1e6
 BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 SMALLEST_SHARE = 1e-5  # of an interval of depths in the placement of the second samples
-# Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches; on a GPU some 2 GB.
+# Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches;
+# on a GPU some 2 GB.
 ROWS_AT_ONCE = {"cpu": 2**16, "cuda": 2**20}
 OUTPUTS = 8  # of a layer that the kernel sums side by side
-Shaded = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
-Packed = tuple[NDArray[np.float32], NDArray[np.float32]]  # weights (before, after) and bias (after) of a layer
+# colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
+Shaded = tuple[Tensor, Tensor, Tensor]
+# weights (before, after) and bias (after) of a layer
+Packed = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
@@ -52,9 +56,14 @@ class SeenView:
 
     @cached_property
     def pixels(self) -> dict[str, Pixels]:
-        """``image``, ``coarse`` and ``fine`` with the channels of a pixel side by side, (H, W, C), as kernels read them."""
+        """``image``, ``coarse`` and ``fine`` with the channels of a pixel side by side, (H, W, C),
+        as kernels read them.
+        """
         maps = {"image": self.image, "coarse": self.coarse, "fine": self.fine}
-        return {name: np.ascontiguousarray(tensor.permute(1, 2, 0).numpy(), np.float32) for name, tensor in maps.items()}
+        return {
+            name: np.ascontiguousarray(tensor.permute(1, 2, 0).numpy(), np.float32)
+            for name, tensor in maps.items()
+        }
 
     def look_up(self, points_world: Tensor, of_pass: Pass) -> tuple[Tensor, Tensor]:
         """Return the colour and features at points, and whether the image shows them.
@@ -72,18 +81,23 @@ class SeenView:
         inside = ((uv >= 0) & (uv <= largest)).all(dim=-1, keepdim=True)
         places = 2 * uv / largest - 1  # of the corners' centres: -1 and 1, at any size
         features = self.coarse if of_pass == "coarse" else self.fine
-        return torch.cat([_sample(self.image, places), _sample(features, places)], dim=-1), inside & (depth > 0)
+        return torch.cat(
+            [_sample(self.image, places), _sample(features, places)], dim=-1
+        ), inside & (depth > 0)
 
 
 def projection_of(camera: Camera) -> Tensor:
     """Return the transform of world to image with pixel centres at whole numbers, (3, 4)."""
-    return torch.as_tensor(np.ascontiguousarray(camera.K_opencv @ camera.world_to_camera[:3])).float()
+    return torch.as_tensor(
+        np.ascontiguousarray(camera.K_opencv @ camera.world_to_camera[:3])
+    ).float()
 
 
 def _sample(channels: Tensor, places: Tensor) -> Tensor:
     """Return the bilinear lookup of (C, H, W) at (..., 2) in [-1, 1], 0 outside, (..., C)."""
     flat = places.reshape(1, 1, -1, 2)
-    # The kernel behind `functional.grid_sample`, which on a GPU would take cuDNN's: that refuses some numbers of places.
+    # The kernel behind `functional.grid_sample`, which on a GPU would take cuDNN's: that refuses
+    # some numbers of places.
     sampled = torch.grid_sampler_2d(channels[None], flat, BILINEAR, ZEROS, True)
     return sampled[0, :, 0].T.reshape(*places.shape[:-1], channels.shape[0])
 
@@ -95,12 +109,25 @@ def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
         image = torch.as_tensor(source.image).permute(2, 0, 1).float() / 255
         coarse, fine = networks.feature_net(image[None])
         centre = torch.as_tensor(source.camera.centre).float()
-        views.append(SeenView(image, coarse[0].float(), fine[0].float(), projection_of(source.camera), centre))
+        views.append(
+            SeenView(
+                image=image,
+                coarse=coarse[0].float(),
+                fine=fine[0].float(),
+                projection=projection_of(source.camera),
+                centre=centre,
+            )
+        )
     return views
 
 
 def render_rays(
-    networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
+    networks: Networks,
+    views: Sequence[SeenView],
+    centre: Tensor,
+    rays: Tensor,
+    near: float,
+    far: float,
 ) -> tuple[Tensor, Tensor]:
     """Return the colour and depth of some rays.
 
@@ -121,9 +148,17 @@ def render_rays(
 
 
 def render_passes(
-    networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
+    networks: Networks,
+    views: Sequence[SeenView],
+    centre: Tensor,
+    rays: Tensor,
+    near: float,
+    far: float,
 ) -> tuple[Tensor, Shaded]:
-    """Colours (R, 3) of the coarse pass, and the fine pass; arguments as of `render_rays`. Gradients reach the networks."""
+    """Colours (R, 3) of the coarse pass, and the fine pass; arguments as of `render_rays`.
+
+    Gradients reach the networks.
+    """
     count = networks.config.samples
     depths = coarse_depths(near, far, count).expand(rays.shape[0], -1)
     colours, density = _shade(networks.net_coarse, views, "coarse", centre, rays, depths)
@@ -136,21 +171,33 @@ def render_passes(
 
 
 def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
-    """Return the number of rays of N coarse samples that fit through the networks together on a device, the CPU unless given."""
+    """Return the number of rays of N coarse samples that fit through the networks together on a
+    device, the CPU unless given.
+    """
     return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
 
 
 def _shade(
-    network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
+    network: RayNetwork,
+    views: Sequence[SeenView],
+    of_pass: Pass,
+    centre: Tensor,
+    rays: Tensor,
+    depths: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled on the CPU where no gradients are wanted."""
+    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S).
+
+    Compiled on the CPU where no gradients are wanted.
+    """
     if rays.device.type == "cpu" and not (torch.is_grad_enabled() and network.s.requires_grad):
         return shade_by_kernel(network, views, of_pass, centre, rays, depths)
     points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
     looked_up = [view.look_up(points_world, of_pass) for view in views]
     view_features = torch.stack([values for values, _ in looked_up], dim=2)
     visible = torch.stack([inside for _, inside in looked_up], dim=2)
-    differences = torch.stack([ray_changes(points_world, centre, view.centre) for view in views], dim=2)
+    differences = torch.stack(
+        [ray_changes(points_world, centre, view.centre) for view in views], dim=2
+    )
     colours, density = network(view_features, differences, visible)
     return colours.float(), density.float()
 
@@ -168,7 +215,8 @@ def coarse_depths(near: float, far: float, count: int) -> Tensor:
 
 
 def finer_depths(depths: Tensor, weights: Tensor, count: int) -> Tensor:
-    """Return the depths of the first pass and as many more as asked for, drawn evenly from what it saw.
+    """Return the depths of the first pass and as many more as asked for, drawn evenly from what it
+    saw.
 
     Args:
         depths: of the first pass, (R, S), increasing.
@@ -178,8 +226,8 @@ def finer_depths(depths: Tensor, weights: Tensor, count: int) -> Tensor:
         (R, S + count), increasing.
 
     Reading:
-        The distribution is constant between the middles of neighbouring samples, in inverse depth; the weights of the first and
-        the last sample are left out.
+        The distribution is constant between the middles of neighbouring samples, in inverse depth;
+        the weights of the first and the last sample are left out.
     """
     inverse = 1 / depths
     middles = (inverse[:, 1:] + inverse[:, :-1]) / 2
@@ -200,8 +248,11 @@ def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
     shares = weights + SMALLEST_SHARE
     cumulative = torch.cumsum(shares / shares.sum(dim=1, keepdim=True), dim=1)
     cumulative = torch.cat([torch.zeros_like(cumulative[:, :1]), cumulative], dim=1)  # (R, M + 1)
-    levels = torch.linspace(0, 1, count, device=edges.device).expand(edges.shape[0], count).contiguous()
-    above = torch.searchsorted(cumulative[:, :-1].contiguous(), levels, right=True)  # (R, count), 1..M
+    levels = (
+        torch.linspace(0, 1, count, device=edges.device).expand(edges.shape[0], count).contiguous()
+    )
+    # (R, count), 1..M
+    above = torch.searchsorted(cumulative[:, :-1].contiguous(), levels, right=True)
     below = (above - 1).clamp(min=0)
     height = cumulative.gather(1, above) - cumulative.gather(1, below)
     height = torch.where(height < SMALLEST_SHARE, 1.0, height)
@@ -210,9 +261,15 @@ def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
 
 
 def shade_by_kernel(
-    network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
+    network: RayNetwork,
+    views: Sequence[SeenView],
+    of_pass: Pass,
+    centre: Tensor,
+    rays: Tensor,
+    depths: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return the colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `ray_changes`.
+    """Return the colour and density of samples, as `RayNetwork.forward` computes them from
+    `SeenView.look_up` and `ray_changes`.
 
     Args:
         views: at least two.
@@ -225,7 +282,10 @@ def shade_by_kernel(
     """
     from ggvs_eval.kernels import _core
 
-    packed_views = [(view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy()) for view in views]
+    packed_views = [
+        (view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy())
+        for view in views
+    ]
     norm = network.ray_attention.layer_norm
     colours, density = _core.pool_views(
         packed_layers(network),
@@ -242,7 +302,9 @@ def shade_by_kernel(
 
 
 def packed_layers(network: RayNetwork) -> list[Packed]:
-    """Weights (before, after) and bias (after) of the layers in the order of use, outputs filled up to a multiple of 8."""
+    """Weights (before, after) and bias (after) of the layers in the order of use, outputs filled up
+    to a multiple of 8.
+    """
     attention = network.ray_attention
     (first, bias), base = _linear(network.base_fc)
     parts = (network.vis_fc, network.vis_fc2, network.geometry_fc, network.rgb_fc)

@@ -1,1 +1,3 @@
-"""Validation of depth: matchers against measured disparity, sparse points, exact depth, and themselves over time."""
+"""Validation of depth: matchers against measured disparity, sparse points, exact depth, and
+themselves over time.
+"""

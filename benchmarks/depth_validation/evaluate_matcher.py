@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from benchmarks.depth_validation import middlebury, region_errors, rendering, sparse_points, static_reuse, temporal_spread
+from benchmarks.depth_validation import (
+    middlebury,
+    region_errors,
+    rendering,
+    sparse_points,
+    static_reuse,
+    temporal_spread,
+)
 from benchmarks.depth_validation.figures import Figures
 from benchmarks.depth_validation.named_matchers import depth_options, pairwise_matchers
 from benchmarks.depth_validation.rooms import film_rooms
@@ -20,13 +27,17 @@ PARTS = ("motorcycle", "sparse", "rendering", "rooms", "temporal", "reuse")
 REAL_CAPTURE = "n3v_flame_steak"
 
 
-def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collection[str] = PARTS) -> Figures:
-    """Evaluate matchers in every way whose input is there; prints the tables and keeps them below `out`.
+def validate_depth(
+    data: Path, out: Path, matchers: Sequence[str], only: Collection[str] = PARTS
+) -> Figures:
+    """Evaluate matchers in every way whose input is there.
+
+    Prints the tables and keeps them below `out`.
 
     Args:
         data: folder with stereo_motorcycle and n3v_flame_steak.
-        out: folder of the rooms and of depth_validation/, which gets a table per part and figures.json; figures that this call
-            does not compute stay there.
+        out: folder of the rooms and of depth_validation/, which gets a table per part and
+            figures.json; figures that this call does not compute stay there.
         matchers: names, as `depth_options` knows them.
         only: some of `PARTS`.
 
@@ -39,7 +50,10 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
     unknown = sorted(set(only) - set(PARTS))
     if unknown or not matchers:
         request = f"parts {', '.join(unknown)}" if unknown else "no matcher"
-        raise DepthError(f"depth validation: wanted a matcher and parts of {', '.join(PARTS)}, got {request}; correct the name")
+        raise DepthError(
+            f"depth validation: wanted a matcher and parts of {', '.join(PARTS)}, got {request}; "
+            f"correct the name"
+        )
     options = {name: depth_options(name) for name in dict.fromkeys(matchers)}
     figures: Figures = {}
     if "motorcycle" in only:
@@ -72,7 +86,10 @@ def _motorcycle(folder: Path, out: Path, options: Mapping[str, DepthOptions]) ->
     matchers = pairwise_matchers(options)
     for name in options:
         if name not in matchers:
-            print(f"motorcycle: {name} is not computed: it wants several calibrated partners, this is one pair")
+            print(
+                f"motorcycle: {name} is not computed: it wants several calibrated partners, this "
+                f"is one pair"
+            )
     rows, figures = middlebury.evaluate_motorcycle(folder, matchers)
     _show(pd.DataFrame.from_dict(rows, orient="index"), out, "motorcycle")
     return figures
@@ -84,7 +101,9 @@ def _sparse(folder: Path, out: Path, options: Mapping[str, DepthOptions]) -> Fig
         return {}
     capture = open_capture(folder)
     width, height = capture.cameras[0].size
-    table, figures = sparse_points.evaluate_sparse(capture.resized(width // 2, height // 2, "lanczos"), options)
+    table, figures = sparse_points.evaluate_sparse(
+        capture.resized(width // 2, height // 2, "lanczos"), options
+    )
     _show(pd.concat([table, table.mean().to_frame("mean").T]), out, "sparse")
     return figures
 
@@ -94,7 +113,11 @@ def _rendering(folder: Path, out: Path, matchers: Sequence[str]) -> Figures:
         print(f"rendering: not computed: no capture at {folder}; give --data")
         return {}
     table, figures = rendering.evaluate_rendering(
-        open_capture(folder), load_protocol("real_frame"), out / "depth_rendering", matchers, usable_cpus()
+        open_capture(folder),
+        load_protocol("real_frame"),
+        out / "depth_rendering",
+        matchers,
+        usable_cpus(),
     )
     _show(table, out, "rendering")
     return figures

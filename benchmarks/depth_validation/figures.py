@@ -1,4 +1,6 @@
-"""Measured values as the figures of `make validate`: each with its unit, its target and the baseline of the same run as peer."""
+"""Measured values as the figures of `make validate`: each with its unit, its target and the
+baseline of the same run as peer.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,8 +37,12 @@ class Measure:
         return value / peer_value if self.higher_is_better else peer_value / value
 
 
-def figures_of(group: str, measures: Sequence[Measure], values: Mapping[str, Mapping[str, float]]) -> Figures:
-    """Return the figures named depth.<group>.<measure>.<matcher>; what could not be measured (NaN) is left out.
+def figures_of(
+    group: str, measures: Sequence[Measure], values: Mapping[str, Mapping[str, float]]
+) -> Figures:
+    """Return the figures named depth.<group>.<measure>.<matcher>.
+
+    What could not be measured (NaN) is left out.
 
     Args:
         group: what was evaluated, e.g. ``motorcycle``.
@@ -50,17 +56,29 @@ def figures_of(group: str, measures: Sequence[Measure], values: Mapping[str, Map
             if not math.isfinite(row[measure.name]):
                 continue
             entry = _entry(measure, matcher, row[measure.name])
-            if baseline is not None and matcher != BASELINE and math.isfinite(baseline[measure.name]):
+            if (
+                baseline is not None
+                and matcher != BASELINE
+                and math.isfinite(baseline[measure.name])
+            ):
                 peer_value = baseline[measure.name]
-                entry |= {"peer": BASELINE, "peer_value": peer_value, "ratio": measure.ratio(entry["value"], peer_value)}
+                entry |= {
+                    "peer": BASELINE,
+                    "peer_value": peer_value,
+                    "ratio": measure.ratio(entry["value"], peer_value),
+                }
             figures[f"depth.{group}.{measure.name}.{matcher}"] = entry
     return figures
 
 
 def quoted_figures(
-    group: str, measures: Sequence[Measure], values: Mapping[str, Mapping[str, float]], quoted: Mapping[str, Mapping[str, float]]
+    group: str,
+    measures: Sequence[Measure],
+    values: Mapping[str, Mapping[str, float]],
+    quoted: Mapping[str, Mapping[str, float]],
 ) -> Figures:
-    """Return the same values against published ones, named depth.<group>.<measure>.<matcher>.vs.<peer>.
+    """Return the same values against published ones, named
+    depth.<group>.<measure>.<matcher>.vs.<peer>.
 
     Args:
         group: as for `figures_of`.
@@ -75,9 +93,15 @@ def quoted_figures(
                 if measure.name not in published:
                     continue
                 peer_value = published[measure.name]
-                compared = {"peer": peer, "peer_value": peer_value, "ratio": measure.ratio(row[measure.name], peer_value)}
+                compared = {
+                    "peer": peer,
+                    "peer_value": peer_value,
+                    "ratio": measure.ratio(row[measure.name], peer_value),
+                }
                 entry = _entry(measure, matcher, row[measure.name]) | compared
-                figures[f"depth.{group}.{measure.name}.{matcher}.vs.{peer.replace(' ', '-')}"] = entry
+                figures[f"depth.{group}.{measure.name}.{matcher}.vs.{peer.replace(' ', '-')}"] = (
+                    entry
+                )
     return figures
 
 

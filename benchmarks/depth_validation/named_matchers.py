@@ -18,5 +18,12 @@ def depth_options(name: str) -> DepthOptions:
 
 
 def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
-    """Return the matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
-    return {name: each.matcher for name, each in options.items() if isinstance(each.matcher, StereoMatcher)}
+    """Return the matchers that match one rectified pair, by name.
+
+    The plane sweep wants calibrated partners.
+    """
+    return {
+        name: each.matcher
+        for name, each in options.items()
+        if isinstance(each.matcher, StereoMatcher)
+    }

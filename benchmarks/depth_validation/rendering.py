@@ -1,4 +1,6 @@
-"""The validation that matters: how well views are rendered from a matcher's depth, leave-one-out on a real instant."""
+"""The validation that matters: how well views are rendered from a matcher's depth, leave-one-out on
+a real instant.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +20,10 @@ from ggvs_eval.protocol import CameraPath, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 
 METHOD = "ours-geometric"
-MEASURES = (Measure("PSNR", "dB", higher_is_better=True, target=29.0), Measure("preparation_s", "s", higher_is_better=False))
+MEASURES = (
+    Measure("PSNR", "dB", higher_is_better=True, target=29.0),
+    Measure("preparation_s", "s", higher_is_better=False),
+)
 
 
 def evaluate_rendering(
@@ -34,7 +39,8 @@ def evaluate_rendering(
         workers: processes.
 
     Returns:
-        A line per matcher: PSNR in dB of each view and their mean, seconds of the preparation; and the figures.
+        A line per matcher: PSNR in dB of each view and their mean, seconds of the preparation; and
+        the figures.
     """
     short = replace(
         protocol,
@@ -51,11 +57,15 @@ def evaluate_rendering(
         views = score(RunFolder(root), workers).per_view("PSNR").iloc[0]
         lines[name] = {**views.to_dict(), "mean": float(views.mean()), "preparation_s": seconds}
         measured[name] = {"PSNR": float(views.mean()), "preparation_s": seconds}
-    return pd.DataFrame.from_dict(lines, orient="index"), figures_of("rendering", MEASURES, measured)
+    return pd.DataFrame.from_dict(lines, orient="index"), figures_of(
+        "rendering", MEASURES, measured
+    )
 
 
 def _preparation_seconds(root: Path, seconds: float) -> float:
-    """Return the time a run folder took to prepare from nothing; NaN, not measured, where a killed call had done part of it.
+    """Return the time a run folder took to prepare from nothing.
+
+    NaN, not measured, where a killed call had done part of it.
 
     A later call finds the depth there and takes no time, so the first one's is kept.
     """

@@ -1,4 +1,6 @@
-"""The rendered rooms with exact depth: three for validation, by which parameters may be chosen, and the demo capture."""
+"""The rendered rooms with exact depth: three for validation, by which parameters may be chosen, and
+the demo capture.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,12 +41,16 @@ def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[Rende
     """Write the rooms that are not there yet, and open all of them.
 
     Args:
-        out: folder of the rooms; the demo room is with them, since the one that ships and `make reports` unpacks has no depth.
+        out: folder of the rooms; the demo room is with them, since the one that ships and `make
+            reports` unpacks has no depth.
         seeds: of the validation rooms.
     """
     plans = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}
     plans[DEMO] = (out / "rooms" / DEMO, DemoOptions())
-    return [RenderedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in plans.items()]
+    return [
+        RenderedRoom(name, options, open_capture(write_demo(folder, options)))
+        for name, (folder, options) in plans.items()
+    ]
 
 
 def room_options(seed: int) -> DemoOptions:

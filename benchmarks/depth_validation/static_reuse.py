@@ -1,4 +1,6 @@
-"""Savings and cost of `--reuse-static`: the depth of one camera over some frames, with it and without."""
+"""Savings and cost of `--reuse-static`: the depth of one camera over some frames, with it and
+without.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,36 +26,55 @@ MEASURES = (
 )
 
 
-def evaluate_reuse(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
-    """Return the first camera of every room over its first frames, the first of which is always computed whole.
+def evaluate_reuse(
+    rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]
+) -> tuple[pd.DataFrame, Figures]:
+    """Return the first camera of every room over its first frames, the first of which is always
+    computed whole.
 
     Args:
         rooms: with exact depth.
         options: of each matcher, by name; how they use time is replaced.
 
     Returns:
-        A table, one row per room, columns (matcher, measure), and figures of the means over all rooms. Time is that of all
-        threads, which does not depend on what else the machine does.
+        A table, one row per room, columns (matcher, measure), and figures of the means over all
+        rooms. Time is that of all threads, which does not depend on what else the machine does.
     """
     rows: dict[str, dict[Column, float]] = {}
     for room in rooms:
         camera = room.capture.cameras[0]
-        images = {name: np.stack(list(room.capture.frames(name, 0, FRAMES))) for name in room.capture.camera_names}
-        truths = np.stack([read_exact_depth(room.capture.path, camera.name, frame) for frame in range(FRAMES)])
+        images = {
+            name: np.stack(list(room.capture.frames(name, 0, FRAMES)))
+            for name in room.capture.camera_names
+        }
+        truths = np.stack(
+            [read_exact_depth(room.capture.path, camera.name, frame) for frame in range(FRAMES)]
+        )
         rows[room.name] = {}
         for matcher, each in options.items():
             whole, reused = (replace(each, keyframe_every=every) for every in (1, KEYFRAME_EVERY))
-            (seconds, good), (fewer, still_good) = (_measured(room, camera, images, truths, way) for way in (whole, reused))
+            (seconds, good), (fewer, still_good) = (
+                _measured(room, camera, images, truths, way) for way in (whole, reused)
+            )
             values = (100 * (1 - fewer / seconds), good, still_good)
-            rows[room.name] |= {(matcher, measure.name): value for measure, value in zip(MEASURES, values, strict=True)}
+            rows[room.name] |= {
+                (matcher, measure.name): value
+                for measure, value in zip(MEASURES, values, strict=True)
+            }
     table = wide_table(rows)
     return table, figures_of("reuse", MEASURES, mean_of_rows(table))
 
 
 def _measured(
-    room: RenderedRoom, camera: Camera, images: Mapping[str, np.ndarray], truths: np.ndarray, options: DepthOptions
+    room: RenderedRoom,
+    camera: Camera,
+    images: Mapping[str, np.ndarray],
+    truths: np.ndarray,
+    options: DepthOptions,
 ) -> tuple[float, float]:
-    """CPU seconds for all frames, and the share of their pixels within 2 % of the exact depth, in percent."""
+    """CPU seconds for all frames, and the share of their pixels within 2 % of the exact depth, in
+    percent.
+    """
     start = process_time()
     views = estimate_views(room, camera, images, options)
     seconds = process_time() - start

@@ -10,14 +10,20 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def wide_table(rows: Mapping[Key, Mapping[Column, float]]) -> pd.DataFrame:
-    """Return a row per key, columns (matcher, measure) in the order in which they first occur; NaN where a row lacks one."""
+    """Return a row per key, columns (matcher, measure) in the order in which they first occur.
+
+    NaN where a row lacks one.
+    """
     columns = list(dict.fromkeys(column for row in rows.values() for column in row))
     values = [[row.get(column, float("nan")) for column in columns] for row in rows.values()]
     return pd.DataFrame(values, list(rows), pd.MultiIndex.from_tuples(columns))
 
 
 def mean_of_rows(table: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Return the mean of each measure over the rows that have it, by matcher; what holds for all matchers is left out."""
+    """Return the mean of each measure over the rows that have it, by matcher.
+
+    What holds for all matchers is left out.
+    """
     means: dict[str, dict[str, float]] = {}
     for column in table.columns:
         matcher, measure = tuple(column)

@@ -1,7 +1,8 @@
 """Depth flicker of static surfaces, before and after the temporal filter of the online half.
 
-A static pixel shows the same surface in the same light at all instants: its exact depth and its noise-free colour never change.
-Changes of its depth over time come from the sensor's noise, the video's coding, and what moves elsewhere in the pictures.
+A static pixel shows the same surface in the same light at all instants: its exact depth and its
+noise-free colour never change. Changes of its depth over time come from the sensor's noise, the
+video's coding, and what moves elsewhere in the pictures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +38,9 @@ MEASURES = (
 STATIC = "static_percent"
 
 
-def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+def evaluate_temporal(
+    rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]
+) -> tuple[pd.DataFrame, Figures]:
     """Return the first camera of every room over some frames.
 
     Args:
@@ -45,8 +48,8 @@ def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, Depth
         options: of each matcher, by name.
 
     Returns:
-        A table, one row per room, columns (matcher, measure) and the share of static pixels, and figures: of the demo
-        capture, and of the mean over the validation rooms.
+        A table, one row per room, columns (matcher, measure) and the share of static pixels, and
+        figures: of the demo capture, and of the mean over the validation rooms.
     """
     rows: dict[str, dict[Column, float]] = {}
     for room in rooms:
@@ -57,7 +60,10 @@ def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, Depth
         images = {name: np.stack(list(room.capture.frames(name, 0, FRAMES))) for name in names}
         for matcher, each in options.items():
             views = estimate_views(room, camera, images, each)
-            rows[room.name] |= {(matcher, measure): value for measure, value in measure_spread(views, static).items()}
+            rows[room.name] |= {
+                (matcher, measure): value
+                for measure, value in measure_spread(views, static).items()
+            }
     table = wide_table(rows)
     is_demo = table.index == DEMO
     figures: Figures = {}
@@ -67,7 +73,9 @@ def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, Depth
     return table, figures
 
 
-def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions) -> list[SourceView]:
+def estimate_views(
+    room: RenderedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions
+) -> list[SourceView]:
     """Estimate the source views of one camera that the online half is given, frame by frame.
 
     Args:
@@ -80,15 +88,21 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
     stream = DepthStream(camera, partners, options)
     views = []
     for frame in track(range(FRAMES), f"{room.name} over time"):
-        depth_map = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
-        views.append(SourceView(camera, images[camera.name][frame], depth_map.depth, depth_map.confidence))
+        depth_map = stream.step(
+            frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners]
+        )
+        views.append(
+            SourceView(camera, images[camera.name][frame], depth_map.depth, depth_map.confidence)
+        )
     return views
 
 
 def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float]:
-    """Return the spread over time before and after the temporal filter with its own parameters, and the share that remains.
+    """Return the spread over time before and after the temporal filter with its own parameters, and
+    the share that remains.
 
-    In addition, what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered depth.
+    In addition, what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered
+    depth.
 
     Args:
         views: one camera at consecutive instants.
@@ -96,41 +110,69 @@ def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float
     """
     temporal_filter = TemporalDepthFilter()
     filtered = [temporal_filter.step(index, view)[0].depth for index, view in enumerate(views)]
-    before, after = (temporal_spread(np.stack(depths), static) for depths in ([view.depth for view in views], filtered))
+    before, after = (
+        temporal_spread(np.stack(depths), static)
+        for depths in ([view.depth for view in views], filtered)
+    )
     steadiness = mean_values(score_depths((view.depth for view in views), static))
     remaining = after / before if before else float("nan")
-    values = (100 * before, 100 * after, remaining, steadiness["depth_mTV"], steadiness["depth_Sharpness"])
+    values = (
+        100 * before,
+        100 * after,
+        remaining,
+        steadiness["depth_mTV"],
+        steadiness["depth_Sharpness"],
+    )
     return {measure.name: value for measure, value in zip(MEASURES, values, strict=True)}
 
 
 def temporal_spread(depths: Map, static: Mask) -> float:
-    """Return the median over the static pixels of the standard deviation of depth over time, as a share of the mean depth.
+    """Return the median over the static pixels of the standard deviation of depth over time, as a
+    share of the mean depth.
 
     Args:
-        depths: (T, H, W), world units, 0 = no depth; pixels that miss it at any instant are left out.
+        depths: (T, H, W), world units, 0 = no depth; pixels that miss it at any instant are left
+            out.
         static: (H, W).
 
     Reading:
-        The standard deviation of a sample (T - 1 in the denominator), as of the other measures over time.
+        The standard deviation of a sample (T - 1 in the denominator), as of the other measures over
+        time.
 
     Raises:
         DepthError: fewer than two instants, another size, or no static pixel with depth throughout.
     """
     if len(depths) < 2 or depths.shape[1:] != static.shape:
-        raise DepthError(f"temporal spread: wanted two or more maps of {static.shape}, got {depths.shape}; give more frames")
+        raise DepthError(
+            f"temporal spread: wanted two or more maps of {static.shape}, got {depths.shape}; give "
+            f"more frames"
+        )
     evaluated = static & (depths > 0).all(axis=0)
     if not evaluated.any():
-        raise DepthError("temporal spread: wanted static pixels with depth at all instants, got none; choose another camera")
+        raise DepthError(
+            "temporal spread: wanted static pixels with depth at all instants, got none; choose "
+            "another camera"
+        )
     values = depths[:, evaluated].astype(np.float64)  # (T, N)
     return float(np.median(values.std(axis=0, ddof=1) / values.mean(axis=0)))
 
 
 def film_static(room: RenderedRoom, camera: Camera) -> Mask:
-    """Return the mask the pixels that do not change over the first frames, (H, W): filmed without gain and noise."""
+    """Return the mask the pixels that do not change over the first frames, (H, W): filmed without
+    gain and noise.
+    """
     shot = next(shot for shot in rig_shots(room.options) if shot.camera.name == camera.name)
     noise_free = replace(shot, sensor=None, instants=shot.instants[:FRAMES])
-    frames = list(track(Footage(room.options, noise_free, _lit(room)).frames(), f"{room.name} without noise", FRAMES))
-    return find_static(np.stack([frame.image for frame in frames]), np.stack([frame.depth for frame in frames]))
+    frames = list(
+        track(
+            Footage(room.options, noise_free, _lit(room)).frames(),
+            f"{room.name} without noise",
+            FRAMES,
+        )
+    )
+    return find_static(
+        np.stack([frame.image for frame in frames]), np.stack([frame.depth for frame in frames])
+    )
 
 
 def find_static(images: Image8, depths: Map) -> Mask:
@@ -140,7 +182,11 @@ def find_static(images: Image8, depths: Map) -> Mask:
         images: (T, H, W, 3).
         depths: (T, H, W), 0 = unknown.
     """
-    same: Mask = (images == images[:1]).all(axis=(0, -1)) & (depths == depths[:1]).all(axis=0) & (depths[0] > 0)
+    same: Mask = (
+        (images == images[:1]).all(axis=(0, -1))
+        & (depths == depths[:1]).all(axis=0)
+        & (depths[0] > 0)
+    )
     return same
 
 

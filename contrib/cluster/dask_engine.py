@@ -1,4 +1,6 @@
-"""Run jobs on dask: a cluster of processes on this machine, or the workers of the user's scheduler (Slurm, Kubernetes, SSH)."""
+"""Run jobs on dask: a cluster of processes on this machine, or the workers of the user's scheduler
+(Slurm, Kubernetes, SSH).
+"""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -27,19 +29,22 @@ def run_on_dask(
 ) -> Iterator[tuple[int, Result | LostJob]]:
     """Do the work for every item on dask workers, which may come, die and come back.
 
-    The scheduler gives an item whose worker is gone to another one; after its `distributed.scheduler.allowed-failures` deaths it
-    takes the item for their cause, and all that waited on the same workers with it: each of these is then tried alone.
+    The scheduler gives an item whose worker is gone to another one; after its
+    `distributed.scheduler.allowed-failures` deaths it takes the item for their cause, and all that
+    waited on the same workers with it: each of these is then tried alone.
 
     Args:
         work: a module-level function or a `functools.partial` of one, known to the workers.
-        workers: processes of the cluster on this machine; of no meaning to a scheduler that is given.
+        workers: processes of the cluster on this machine; of no meaning to a scheduler that is
+            given.
         scheduler: address; None starts a cluster on this machine.
 
     Yields:
         (index of an item, what came of it), in the order in which they end.
 
     Raises:
-        RenderError: dask is not installed, or nothing answers at the address, or the scheduler has gone away.
+        RenderError: dask is not installed, or nothing answers at the address, or the scheduler has
+            gone away.
     """
     distributed = _import_distributed()
     threads = None if scheduler else max(usable_cpus() // workers, 1)
@@ -73,22 +78,32 @@ def _outcome(distributed: Any, future: Any) -> Any:
     try:
         return future.result()
     except distributed.KilledWorker as error:
-        return LostJob(f"its worker died {error.allowed_failures + 1} times; it may need more memory than a worker has")
+        return LostJob(
+            f"its worker died {error.allowed_failures + 1} times; it may need more memory than a "
+            f"worker has"
+        )
 
 
 @contextmanager
 def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the user's scheduler, or of a cluster that ends with it."""
     if scheduler:
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # losses are reported in one line, here
+        # losses are reported in one line, here
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
             client = distributed.Client(scheduler, timeout=CONNECT_S)
         except (OSError, ValueError) as error:
-            raise RenderError(f"--scheduler {scheduler}: no dask scheduler answers there ({error}); start one") from error
+            raise RenderError(
+                f"--scheduler {scheduler}: no dask scheduler answers there ({error}); start one"
+            ) from error
         with client:
             yield client
         return
-    with _local_cluster(distributed, workers) as cluster, distributed.Client(cluster) as client, _kept_at(workers, cluster):
+    with (
+        _local_cluster(distributed, workers) as cluster,
+        distributed.Client(cluster) as client,
+        _kept_at(workers, cluster),
+    ):
         yield client
 
 
@@ -96,9 +111,9 @@ def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[
 def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
     """A cluster on this machine that obeys this process alone.
 
-    A scheduler runs code for anyone who can reach it, and other users of this machine reach its ports: it and its workers
-    therefore ask for a certificate that exists in their memory only (TLS). Their HTTP servers, which cannot be left away, are
-    left without a page.
+    A scheduler runs code for anyone who can reach it, and other users of this machine reach its
+    ports: it and its workers therefore ask for a certificate that exists in their memory only
+    (TLS). Their HTTP servers, which cannot be left away, are left without a page.
     """
     import dask
 
@@ -110,10 +125,16 @@ def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
     with dask.config.set({key: [] for key in HTTP_ROUTES}), ExitStack() as stack:
         try:
             cluster = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None, security=security, scheduler_kwargs=closed
+                n_workers=workers,
+                threads_per_worker=1,
+                dashboard_address=None,
+                security=security,
+                scheduler_kwargs=closed,
             )
         except RuntimeError as error:
-            raise RenderError(f"dask's workers cannot start: {_root(error)}; {start_remedy()}") from error
+            raise RenderError(
+                f"dask's workers cannot start: {_root(error)}; {start_remedy()}"
+            ) from error
         yield stack.enter_context(cluster)
 
 
@@ -127,8 +148,9 @@ def _root(error: BaseException) -> str:
 def _kept_at(workers: int, cluster: Any) -> Iterator[None]:
     """Have the cluster replace workers that it has lost for good.
 
-    A worker that dies is started again; where that takes longer than dask's `lost-worker-timeout`, as on a busy machine, dask
-    takes it out of the cluster, and without any worker left every item would wait forever.
+    A worker that dies is started again; where that takes longer than dask's `lost-worker-timeout`,
+    as on a busy machine, dask takes it out of the cluster, and without any worker left every item
+    would wait forever.
     """
     ended = Event()
 

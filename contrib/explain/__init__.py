@@ -1,1 +1,3 @@
-"""Whole tables checked: every cell of a published table against scored runs, and the conventions that would explain it."""
+"""Whole tables checked: every cell of a published table against scored runs, and the conventions
+that would explain it.
+"""

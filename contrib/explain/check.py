@@ -1,4 +1,6 @@
-"""Verdicts on the cells of a published table: reproduced, by another convention, undecided, or not."""
+"""Verdicts on the cells of a published table: reproduced, by another convention, undecided,
+or not.
+"""
 
 import math
 import re
@@ -49,8 +51,10 @@ class CheckedCell:
         label: method of the runs that it was checked against; empty if there is none.
         measured: value under the runs' protocol; None if there is none.
         reason: convention, difference or what is missing, in words.
-        by_chance: probability that a number near the quoted one with as many digits would match what was tried, 0 to 1.
-        neighbour: the next method in the same column from which the clip does not distinguish it; empty if there is none.
+        by_chance: probability that a number near the quoted one with as many digits would match
+            what was tried, 0 to 1.
+        neighbour: the next method in the same column from which the clip does not distinguish it;
+            empty if there is none.
     """
 
     quoted: QuotedCell
@@ -76,7 +80,10 @@ class Runs:
         labels = list(dict.fromkeys(label for run in runs for label in run.labels))
         for name, label in names.items():
             if label not in labels:
-                raise ResultsError(f"{name}={label}: wanted a method of the runs, got {label!r}{did_you_mean(label, labels)}")
+                raise ResultsError(
+                    f"{name}={label}: wanted a method of the runs, got "
+                    f"{label!r}{did_you_mean(label, labels)}"
+                )
         titles = (
             (title, label)
             for run in runs
@@ -88,14 +95,19 @@ class Runs:
         self._conventions = cache(self._recompute)
 
     def label(self, method: str) -> str:
-        """Return the method of a row's name: as given, by its label or by its title; empty if there is none."""
+        """Return the method of a row's name: as given, by its label or by its title.
+
+        Empty if there is none.
+        """
         return self.names.get(method) or self._titles.get(_plain(method), "")
 
     def of_scene(self, scene: str) -> tuple[MeasuredRun, ...]:
         """Return the runs of a scene; all of them for a mean, none if the name is unknown."""
         called = _plain(scene)
         return tuple(
-            run for run in self.runs if not called or called in map(_plain, (run.scene, run.title, run.protocol.dataset))
+            run
+            for run in self.runs
+            if not called or called in map(_plain, (run.scene, run.title, run.protocol.dataset))
         )
 
     def value(self, metric: str, label: str, scene: str) -> Cell | None:
@@ -103,23 +115,33 @@ class Runs:
         return self._value(metric, scene).get(label)
 
     def conventions(self, metric: str, label: str, scene: str) -> dict[str, float]:
-        """Return the value under every known convention, means over the runs of the scene; none if they cannot be computed."""
+        """Return the value under every known convention, means over the runs of the scene.
+
+        None if they cannot be computed.
+        """
         try:
             return self._conventions(metric, label, scene)
         except GgvsError:  # frames that are gone, or a metric with one convention
             return {}
 
     def outcome(self, metric: str, scene: str, label: str, rival: str) -> str:
-        """Return how the runs of a scene decide between two methods, in words; empty if the first is better or worse."""
+        """Return how the runs of a scene decide between two methods, in words.
+
+        Empty if the first is better or worse.
+        """
         runs = self.of_scene(scene)
-        return describe_outcome(runs, merge_results([run.results for run in runs]), (metric, label, rival))
+        return describe_outcome(
+            runs, merge_results([run.results for run in runs]), (metric, label, rival)
+        )
 
     def _measure(self, metric: str, scene: str) -> dict[str, Cell]:
         runs = self.of_scene(scene)
         if not runs or metric not in runs[0].metrics:
             return {}
         results = merge_results([run.results for run in runs])
-        rows = [row for table in main_tables(runs, results, [metric]) for row in table.rows if row.label]
+        rows = [
+            row for table in main_tables(runs, results, [metric]) for row in table.rows if row.label
+        ]
         return {row.label: row.cells[0] for row in rows}
 
     def _recompute(self, metric: str, label: str, scene: str) -> dict[str, float]:
@@ -131,22 +153,35 @@ class Runs:
             for recomputed in explain(family, "0", views, fast=fast_truth(run.folder)):
                 if recomputed.views == ALL_VIEWS:
                     values_by_name.setdefault(recomputed.name, []).append(recomputed.value)
-        return {name: float(np.mean(values)) for name, values in values_by_name.items() if len(values) == len(runs)}
+        return {
+            name: float(np.mean(values))
+            for name, values in values_by_name.items()
+            if len(values) == len(runs)
+        }
 
 
 def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
-    """Judge every cell; conventions are recomputed only for cells that the runs' own protocol does not reproduce.
+    """Judge every cell; conventions are recomputed only for cells that the runs' own protocol does
+    not reproduce.
 
     Reading:
-        A convention whose match is likelier than `WEAK_CHANCE` to be an accident counts only if it also gives another cell of
-        the same metric; otherwise the cell is not reproduced.
+        A convention whose match is likelier than `WEAK_CHANCE` to be an accident counts only if it
+        also gives another cell of the same metric; otherwise the cell is not reproduced.
     """
     checked = [_against_protocol(cell, runs) for cell in cells]
-    open_cells = [at for at, cell in enumerate(checked) if cell.verdict in ("undecided", "not reproduced")]
-    candidates = {at: _matching(cells[at], runs) for at in track(open_cells, "trying other conventions on cells")}
+    open_cells = [
+        at for at, cell in enumerate(checked) if cell.verdict in ("undecided", "not reproduced")
+    ]
+    candidates = {
+        at: _matching(cells[at], runs)
+        for at in track(open_cells, "trying other conventions on cells")
+    }
     for at, (matches, share) in candidates.items():
         elsewhere = {
-            name for i, (names, _) in candidates.items() if i != at and cells[i].metric == cells[at].metric for name in names
+            name
+            for i, (names, _) in candidates.items()
+            if i != at and cells[i].metric == cells[at].metric
+            for name in names
         }
         names = matches if share <= WEAK_CHANCE else [name for name in matches if name in elsewhere]
         cell = checked[at]
@@ -163,10 +198,18 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
     label = runs.label(cell.method)
     if not label:
         known = ", ".join(dict.fromkeys(label for run in runs.runs for label in run.labels))
-        return CheckedCell(cell, "not checked", reason=f"no method {cell.method!r} in the runs ({known}); name it with --rows")
+        return CheckedCell(
+            cell,
+            "not checked",
+            reason=f"no method {cell.method!r} in the runs ({known}); name it with --rows",
+        )
     hashes = {run.protocol.sha256 for run in runs.of_scene(cell.scene)}
     if len(hashes) != 1:
-        reason = "a mean over runs of several protocols" if hashes else f"no run of the scene {cell.scene!r}"
+        reason = (
+            "a mean over runs of several protocols"
+            if hashes
+            else f"no run of the scene {cell.scene!r}"
+        )
         return CheckedCell(cell, "not checked", label, reason=reason)
     mean = runs.value(cell.metric, label, cell.scene)
     number = printed(cell.text)[0]
@@ -177,36 +220,86 @@ def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
         values = runs.conventions(cell.metric, label, cell.scene)
         under = next((name for name in values if name.lower().startswith(cell.network)), "")
         if not under:
-            return CheckedCell(cell, "not checked", label, reason=f"its head names {cell.network}, which gave no value")
+            return CheckedCell(
+                cell,
+                "not checked",
+                label,
+                reason=f"its head names {cell.network}, which gave no value",
+            )
         value = values[under]
     if abs(value - number) <= tolerance(cell.text, value):
         verdict: Verdict = "other convention" if under else "reproduced"
-        return CheckedCell(cell, verdict, label, value, under, chance(cell.text, [value]))
+        return CheckedCell(
+            quoted=cell,
+            verdict=verdict,
+            label=label,
+            measured=value,
+            reason=under,
+            by_chance=chance(cell.text, [value]),
+        )
     off = f"off by {number - value:+.3g}{under and f' under {under}'}"
-    if not under and mean.low is not None and mean.high is not None and mean.low <= number <= mean.high:
-        return CheckedCell(cell, "undecided", label, value, f"{off}, within the interval {mean.low:.4g} to {mean.high:.4g}")
-    return CheckedCell(cell, "not reproduced", label, value, off)
+    if (
+        not under
+        and mean.low is not None
+        and mean.high is not None
+        and mean.low <= number <= mean.high
+    ):
+        return CheckedCell(
+            quoted=cell,
+            verdict="undecided",
+            label=label,
+            measured=value,
+            reason=f"{off}, within the interval {mean.low:.4g} to {mean.high:.4g}",
+        )
+    return CheckedCell(
+        quoted=cell, verdict="not reproduced", label=label, measured=value, reason=off
+    )
 
 
-def _without_own(cell: QuotedCell, label: str, number: float, values: Mapping[str, float]) -> CheckedCell:
-    """Judge a cell of a metric that the protocol lacks by its conventions; a match that chance explains says nothing."""
+def _without_own(
+    cell: QuotedCell, label: str, number: float, values: Mapping[str, float]
+) -> CheckedCell:
+    """Judge a cell of a metric that the protocol lacks by its conventions.
+
+    A match that chance explains says nothing.
+    """
     absent = f"{cell.metric} was not measured; add it to the protocol"
     if not values:
         return CheckedCell(cell, "not checked", label, reason=absent)
     nearest = min(values, key=lambda name: abs(values[name] - number))
     share, value = chance(cell.text, [*values.values()]), values[nearest]
     if abs(value - number) > tolerance(cell.text, value):
-        return CheckedCell(cell, "not reproduced", label, value, f"nearest is {nearest}", share)
+        return CheckedCell(
+            quoted=cell,
+            verdict="not reproduced",
+            label=label,
+            measured=value,
+            reason=f"nearest is {nearest}",
+            by_chance=share,
+        )
     if share > WEAK_CHANCE:
-        return CheckedCell(cell, "not checked", label, reason=f"{absent}; a chance match: {nearest}")
-    return CheckedCell(cell, "other convention", label, value, nearest, share)
+        return CheckedCell(
+            cell, "not checked", label, reason=f"{absent}; a chance match: {nearest}"
+        )
+    return CheckedCell(
+        quoted=cell,
+        verdict="other convention",
+        label=label,
+        measured=value,
+        reason=nearest,
+        by_chance=share,
+    )
 
 
 def _matching(cell: QuotedCell, runs: Runs) -> tuple[list[str], float]:
-    """Return the conventions that give a cell's digits, and the probability that one of all would by chance."""
+    """Return the conventions that give a cell's digits, and the probability that one of all would
+    by chance.
+    """
     values = runs.conventions(cell.metric, runs.label(cell.method), cell.scene)
     number = printed(cell.text)[0]
-    names = [name for name, value in values.items() if abs(value - number) <= tolerance(cell.text, value)]
+    names = [
+        name for name, value in values.items() if abs(value - number) <= tolerance(cell.text, value)
+    ]
     return names, chance(cell.text, [value for value in values.values() if math.isfinite(value)])
 
 
@@ -219,25 +312,39 @@ def _with_neighbour(result: CheckedCell, checked: Sequence[CheckedCell], runs: R
     def standing(row: CheckedCell) -> float:
         return printed(row.quoted.text)[0] * (1 if better else -1)
 
-    rivals = [row for row in checked if row.quoted.heads == cell.heads and row.measured is not None and row.label != result.label]
+    rivals = [
+        row
+        for row in checked
+        if row.quoted.heads == cell.heads and row.measured is not None and row.label != result.label
+    ]
     worse = [row for row in rivals if standing(row) <= standing(result)]
     if not worse:
         return result
     nearest = max(worse, key=standing)
     outcome = runs.outcome(cell.metric, cell.scene, result.label, nearest.label)
-    return replace(result, neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "")
+    return replace(
+        result,
+        neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "",
+    )
 
 
 def expected_by_chance(checked: Sequence[CheckedCell]) -> tuple[float, float]:
-    """Return the number of cells that would match by chance, and the probability that at least as many do as did.
+    """Return the number of cells that would match by chance, and the probability that at least as
+    many do as did.
 
     Reading:
-        Cells are taken as independent, and all numbers near a quoted one as equally likely (`explain.chance`). The tail is that
-        of the sum of unequal Bernoulli variables, computed exactly.
+        Cells are taken as independent, and all numbers near a quoted one as equally likely
+        (`explain.chance`). The tail is that of the sum of unequal Bernoulli variables, computed
+        exactly.
 
     Example:
         >>> cell = QuotedCell("a", "", "PSNR", "30.0", 0, 1)
-        >>> expected_by_chance([CheckedCell(cell, "reproduced", by_chance=0.5), CheckedCell(cell, "reproduced", by_chance=0.5)])
+        >>> expected_by_chance(
+        ...     [
+        ...         CheckedCell(cell, "reproduced", by_chance=0.5),
+        ...         CheckedCell(cell, "reproduced", by_chance=0.5),
+        ...     ]
+        ... )
         (1.0, 0.25)
     """
     tried = [cell for cell in checked if cell.verdict != "not checked"]

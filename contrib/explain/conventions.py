@@ -51,7 +51,8 @@ class Recomputed:
     Attributes:
         values: ``all views`` or the name of a view -> number.
         is_ours: whether it is this tool's convention.
-        is_rare: whether it is tried only where no other one gives the number, since many of its kind are.
+        is_rare: whether it is tried only where no other one gives the number, since many of its
+            kind are.
     """
 
     name: str

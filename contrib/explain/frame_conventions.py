@@ -112,9 +112,15 @@ ERRORS: Mapping[str, FrameMeasure] = {
         if name != "Y alone" or "0..255" not in form  # which is a grey of 8 bit
     },
     # As scripts do that subtract arrays of uint8.
-    "RGB, 8-bit differences and squares that wrap around": lambda rendered, truth: float(np.square(rendered - truth).mean()),
-    "RGB, 8-bit differences (rendered minus truth) that wrap around": lambda *pair: squared_error(pair[0] - pair[1], np.zeros(1)),
-    "RGB, 8-bit differences (truth minus rendered) that wrap around": lambda *pair: squared_error(pair[1] - pair[0], np.zeros(1)),
+    "RGB, 8-bit differences and squares that wrap around": lambda rendered, truth: float(
+        np.square(rendered - truth).mean()
+    ),
+    "RGB, 8-bit differences (rendered minus truth) that wrap around": lambda *pair: squared_error(
+        pair[0] - pair[1], np.zeros(1)
+    ),
+    "RGB, 8-bit differences (truth minus rendered) that wrap around": lambda *pair: squared_error(
+        pair[1] - pair[0], np.zeros(1)
+    ),
 }
 DECIBELS: Mapping[str, FrameMeasure] = {
     "RGB, PSNR of each channel, then the mean (3DGS's log)": _of_channels,
@@ -145,7 +151,10 @@ def psnr_conventions(views: Views, masks: Masks) -> list[Recomputed]:
         *conventions(errors, PSNR_POOLINGS, own_name=OUR_PSNR),
         *conventions(_masked_errors(views, masks), PSNR_POOLINGS),
         *conventions({name: series[name] for name in DECIBELS}),
-        *conventions({OUR_PSNR: of_frames}, divisors={"10 log10 of peak over RMSE (half of it)": 2, "twice": 0.5}),
+        *conventions(
+            {OUR_PSNR: of_frames},
+            divisors={"10 log10 of peak over RMSE (half of it)": 2, "twice": 0.5},
+        ),
         *conventions_in_parts({OUR_PSNR: of_frames}),
     ]
 
@@ -159,8 +168,14 @@ def _masked_errors(views: Views, masks: Masks) -> Series:
         pixels, _, rectangle = errors.values()
         if all(np.array_equal(pixels[view], rectangle[view]) for view in pixels):
             del errors["the rectangle around the mask"]
-        summed = {f"{name}, squared errors summed over channels": of_views for name, of_views in errors.items()}
-        errors |= {name: {view: 3 * values for view, values in of_views.items()} for name, of_views in summed.items()}
+        summed = {
+            f"{name}, squared errors summed over channels": of_views
+            for name, of_views in errors.items()
+        }
+        errors |= {
+            name: {view: 3 * values for view, values in of_views.items()}
+            for name, of_views in summed.items()
+        }
     return errors
 
 
@@ -220,7 +235,9 @@ OUR_LPIPS = "VGG, inputs in [-1, 1]"
 
 
 def lpips_conventions(views: Views, masks: Masks) -> list[Recomputed]:
-    """LPIPS v0.1 on either network, also with inputs left in [0, 1], which it was not trained on."""
+    """LPIPS v0.1 on either network, also with inputs left in [0, 1], which it was not
+    trained on.
+    """
     from ggvs_eval.metrics.image.lpips import lpips
 
     def unscaled(image: Image8) -> NDArray[np.float32]:

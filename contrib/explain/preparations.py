@@ -1,4 +1,6 @@
-"""What evaluators make of frames before they measure them: colours, sizes, borders, masks, video."""
+"""What evaluators make of frames before they measure them: colours, sizes, borders, masks,
+video.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -52,17 +54,23 @@ def half(image: Image8) -> Image8:
 
 
 def as_mvsnerf(image: Image8) -> Levels:
-    """Return a frame as MVSNeRF's notebook measures LLFF, in levels of 255: at 960 x 640, without a border."""
+    """Return a frame as MVSNeRF's notebook measures LLFF, in levels of 255: at 960 x 640, without a
+    border.
+    """
     return 255 * MVSNERF.prepare(image)
 
 
 def at_llff_size(image: Image8) -> Levels:
-    """Return a frame at the size at which MVSNeRF evaluates LLFF, resized as its notebook does, in levels of 255."""
+    """Return a frame at the size at which MVSNeRF evaluates LLFF, resized as its notebook does, in
+    levels of 255.
+    """
     return 255 * replace(MVSNERF, is_cut=False).prepare(image)
 
 
 def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """Return the frame as rendered, and a truth that was kept at half size and enlarged again, linearly."""
+    """Return the frame as rendered, and a truth that was kept at half size and enlarged again,
+    linearly.
+    """
     size = truth.shape[1], truth.shape[0]
     # OpenCV does not round what it interpolates in 8 bit.
     enlarged = cv2.resize(half(truth).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
@@ -70,14 +78,20 @@ def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
 
 
 def stretched(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """Return the levels whose range of 255 is that of the true frame's, as torchmetrics takes it without a range."""
+    """Return the levels whose range of 255 is that of the true frame's, as torchmetrics takes it
+    without a range.
+    """
     factor = 255 / max(int(truth.max()) - int(truth.min()), 1)
-    return np.multiply(rendered, factor, dtype=np.float64), np.multiply(truth, factor, dtype=np.float64)
+    return np.multiply(rendered, factor, dtype=np.float64), np.multiply(
+        truth, factor, dtype=np.float64
+    )
 
 
 def colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """Return the rendering after the affine colour map of this frame that fits best, clipped."""
-    design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
+    design = np.concatenate(
+        [rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1
+    ).astype(np.float64)
     target = truth.reshape(-1, 3).astype(np.float64)
     fitted, *_ = np.linalg.lstsq(design.T @ design, design.T @ target, rcond=1e-12)
     return np.clip(design @ fitted, 0, 255), target
@@ -93,12 +107,18 @@ FRAMINGS: Mapping[str, Preparation] = {
     "truth of half size enlarged": half_truth,
     "both at 960 x 640": both(at_llff_size),
     "without a border of 5 %": both(partial(without_border, share=0.05)),
-    **{f"without a border of {n} px": both(partial(without_border, border_px=n)) for n in (4, 8, 16)},
+    **{
+        f"without a border of {n} px": both(partial(without_border, border_px=n))
+        for n in (4, 8, 16)
+    },
 }
 
 
 def ycbcr(image: Image8, matrix: NDArray[np.float64], has_headroom: bool = True) -> Planes:
-    """YCbCr of a frame in levels that are not rounded, (H, W, 3); luma in 16..235 with headroom, else 0..255."""
+    """YCbCr of a frame in levels that are not rounded, (H, W, 3).
+
+    Luma in 16..235 with headroom, else 0..255.
+    """
     y = image @ matrix
     scale, offset, chroma = (219 / 255, 16, 224 / 255) if has_headroom else (1.0, 0, 1.0)
     blue, red = (128 + chroma * (image[..., c] - y) / (2 * (1 - matrix[c])) for c in (2, 0))
@@ -110,24 +130,36 @@ def _video_420(image: Image8, matrix: NDArray[np.float64], has_headroom: bool) -
     y, *chroma = np.moveaxis(np.rint(ycbcr(image, matrix, has_headroom)).clip(0, 255), -1, 0)
     return [
         y,
-        *(np.rint(cv2.resize(c, (c.shape[1] // 2, c.shape[0] // 2), interpolation=cv2.INTER_AREA)) for c in chroma),
+        *(
+            np.rint(cv2.resize(c, (c.shape[1] // 2, c.shape[0] // 2), interpolation=cv2.INTER_AREA))
+            for c in chroma
+        ),
     ]
 
 
 def _swscale_420(image: Image8) -> list[Planes]:
-    """Planes of yuv420p as FFmpeg converts pictures to it by default: BT.601, 16..235, bicubic chroma."""
+    """Planes of yuv420p as FFmpeg converts pictures to it by default: BT.601, 16..235, bicubic
+    chroma.
+    """
     from av import VideoFrame
 
     even = np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2])
     height, width = even.shape[:2]
-    samples = VideoFrame.from_ndarray(even, format="rgb24").reformat(format="yuv420p").to_ndarray().astype(np.float64)
+    samples = (
+        VideoFrame.from_ndarray(even, format="rgb24")
+        .reformat(format="yuv420p")
+        .to_ndarray()
+        .astype(np.float64)
+    )
     return [samples[:height], *samples[height:].reshape(2, height // 2, width // 2)]
 
 
 # Y, U and V of 8-bit video of 4:2:0.
 VIDEO_FORMS: Mapping[str, Callable[[Image8], list[Planes]]] = {
     **{
-        f"YUV 4:2:0 of 8 bit ({name}, {levels})": partial(_video_420, matrix=matrix, has_headroom=headroom)
+        f"YUV 4:2:0 of 8 bit ({name}, {levels})": partial(
+            _video_420, matrix=matrix, has_headroom=headroom
+        )
         for name, matrix in (("BT.709", BT709), ("BT.601", BT601))
         for levels, headroom in (("16..235", True), ("0..255", False))
     },

@@ -1,6 +1,8 @@
-"""Conventions of SSIM (window, border, data range, covariance, colour, size, scales) and of metrics over time and views.
+"""Conventions of SSIM (window, border, data range, covariance, colour, size, scales) and of metrics
+over time and views.
 
-Dissimilarities are one minus SSIM or half of it; TCC is an SSIM of changes; SDT and SDV are spreads over time and views.
+Dissimilarities are one minus SSIM or half of it; TCC is an SSIM of changes; SDT and SDV are spreads
+over time and views.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -59,7 +61,9 @@ UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
 UNIFORM_11 = "uniform 11 x 11, range 1 (scikit-image, win_size 11)"
 ZERO_PADDED = "Gaussian 11 x 11, zero-padded, range 1 (3DGS)"
 MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
-TORCH_MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11, coarsest border reflected (torchmetrics)"
+TORCH_MULTI_SCALE = (
+    "MS-SSIM, five scales, Gaussian 11 x 11, coarsest border reflected (torchmetrics)"
+)
 UNIFORM_RANGE_2 = "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)"
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
 DIVISORS = {"ddof 1": 1, "ddof 0": 0}
@@ -70,27 +74,42 @@ L1_LEVELS = {"L1 in 0..255": 1, "L1 in 0..1": 255}
 STRIP_ROWS = 32  # so that the planes in between stay in cache
 
 
-def ssim_conventions(views: Views, masks: Masks, own_names: tuple[str, ...] = (OUR_SSIM,)) -> list[Recomputed]:
-    """SSIM as scikit-image, kornia and the code bases of this field compute it; `own_names` are those by this tool."""
+def ssim_conventions(
+    views: Views, masks: Masks, own_names: tuple[str, ...] = (OUR_SSIM,)
+) -> list[Recomputed]:
+    """SSIM as scikit-image, kornia and the code bases of this field compute it.
+
+    `own_names` are those by this tool.
+    """
     shortest_px = min(min(view.truth(view.frames[0]).shape[:2]) for view in views.values())
     is_boxed = _box_side(shortest_px) > 1
-    measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
+    measures = {
+        name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name
+    }
     if shortest_px >= SMALLEST_PX:
         measures |= {MULTI_SCALE: ms_ssim, TORCH_MULTI_SCALE: torch_ms_ssim}
     plain = (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
     masked: dict[str, FrameMeasure] = {
-        f"{OUR_SSIM}, windows inside the mask": partial(_inside, partial(ssim_map, name="gaussian-valid")),
-        f"{ZERO_PADDED}, windows inside the mask": partial(_inside, partial(ssim_map, name="gaussian-zero")),
+        f"{OUR_SSIM}, windows inside the mask": partial(
+            _inside, partial(ssim_map, name="gaussian-valid")
+        ),
+        f"{ZERO_PADDED}, windows inside the mask": partial(
+            _inside, partial(ssim_map, name="gaussian-zero")
+        ),
         **crossed({name: measures[name] for name in (OUR_SSIM, UNIFORM_RANGE_1)}, MASKINGS),
     }
     rows = frame_means(views, measures, OUR_SSIM, (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1))
-    rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain]
+    rows += [
+        _dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain
+    ]
     rows += masked_rows(views, masks, masked)
     return [Recomputed(row.name, row.values, row.name in own_names) for row in rows]
 
 
 DSSIM = "DSSIM = (1 - SSIM) / 2"
-dssim_conventions = partial(ssim_conventions, own_names=(f"{DSSIM}, {UNIFORM_RANGE_1}", f"{DSSIM}, {UNIFORM_RANGE_2}"))
+dssim_conventions = partial(
+    ssim_conventions, own_names=(f"{DSSIM}, {UNIFORM_RANGE_1}", f"{DSSIM}, {UNIFORM_RANGE_2}")
+)
 ms_ssim_conventions = partial(ssim_conventions, own_names=(MULTI_SCALE,))
 BOXED = "after box averages"
 # Name -> options of `similarity`.
@@ -105,8 +124,14 @@ WINDOWS: Mapping[str, Mapping[str, Any]] = {
     UNIFORM_RANGE_2: {"data_range": 2.0},
     "uniform 7 x 7, range 255 on images in 0..1": {"data_range": 255.0},
     "uniform 7 x 7, range 1 on images in 0..255": {"data_range": 1 / 255},
-    "Gaussian 11 x 11, valid positions, range 1 on images in 0..255": {**GAUSSIAN, "data_range": 1 / 255},
-    **{f"uniform {side} x {side}, range 1 (scikit-image, win_size {side})": {"side": side} for side in (3, 5, 9)},
+    "Gaussian 11 x 11, valid positions, range 1 on images in 0..255": {
+        **GAUSSIAN,
+        "data_range": 1 / 255,
+    },
+    **{
+        f"uniform {side} x {side}, range 1 (scikit-image, win_size {side})": {"side": side}
+        for side in (3, 5, 9)
+    },
     "uniform 7 x 7, range of the true frame": {"data_range": None},
     "uniform 7 x 7, population covariance, range 1": {"unbiased": False},
     "uniform 7 x 7, range 1, luma": {"prepare": both(luma)},
@@ -138,7 +163,9 @@ PREPARATIONS: Mapping[str, Preparation] = {
 
 def frame_measures() -> dict[str, FrameMeasure]:
     """Return name -> SSIM of two uint8 frames."""
-    measures: dict[str, FrameMeasure] = {name: partial(similarity, **options) for name, options in WINDOWS.items()}
+    measures: dict[str, FrameMeasure] = {
+        name: partial(similarity, **options) for name, options in WINDOWS.items()
+    }
     measures[ZERO_PADDED] = partial(ssim_variant, name="gaussian-zero")
     sized: dict[str, FrameMeasure] = {
         OUR_SSIM: measures[OUR_SSIM],
@@ -154,7 +181,9 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "RGB": lambda image: list(np.moveaxis(image, -1, 0)),
         **VIDEO_FORMS,
     }.items():
-        measures[f"blocks of 8 x 8 in whole numbers (ffmpeg), {form}"] = partial(_block_similarity, planes)
+        measures[f"blocks of 8 x 8 in whole numbers (ffmpeg), {form}"] = partial(
+            _block_similarity, planes
+        )
     return measures
 
 
@@ -163,18 +192,23 @@ def _box_side(shortest_px: int) -> int:
 
 
 def _averaged_boxes(image: Levels) -> Levels:
-    """Return the means of N x N pixels, unrounded: N is the shorter side over 256, rounded; the rest is cut off."""
+    """Return the means of N x N pixels, unrounded: N is the shorter side over 256, rounded.
+
+    The rest is cut off.
+    """
     side = _box_side(min(image.shape[:2]))
     rows, columns = (size // side for size in image.shape[:2])
-    boxes = image[: rows * side, : columns * side].reshape(rows, side, columns, side, *image.shape[2:])
+    boxes = image[: rows * side, : columns * side].reshape(
+        rows, side, columns, side, *image.shape[2:]
+    )
     return boxes.mean(axis=(1, 3))
 
 
 def torch_ms_ssim(rendered: Levels, truth: Levels) -> float:
     """MS-SSIM as TorchMetrics computes it.
 
-    Each scale is one mean over channels, odd rows and columns are dropped, and the coarsest scale has windows at every
-    pixel, its border reflected.
+    Each scale is one mean over channels, odd rows and columns are dropped, and the coarsest scale
+    has windows at every pixel, its border reflected.
     """
     pair, product = (rendered.astype(np.float64), truth.astype(np.float64)), 1.0
     small, large = 0.01**2, 0.03**2
@@ -182,9 +216,13 @@ def torch_ms_ssim(rendered: Levels, truth: Levels) -> float:
         scores = []
         is_last = scale == len(WEIGHTS) - 1
         border = cv2.BORDER_REFLECT_101 if is_last else None
-        for squares, products, variances, covariance in _moments(*pair, **GAUSSIAN_WINDOW, border=border)[0]:
+        for squares, products, variances, covariance in _moments(
+            *pair, **GAUSSIAN_WINDOW, border=border
+        )[0]:
             contrast = (covariance + large) / (variances + large)
-            scores.append(contrast * (products + small) / (squares + small) if is_last else contrast)
+            scores.append(
+                contrast * (products + small) / (squares + small) if is_last else contrast
+            )
         product *= max(float(np.concatenate(scores).mean()), 0.0) ** weight
         pair = _halved(pair[0]), _halved(pair[1])
     return product
@@ -203,7 +241,8 @@ def similarity(
     prepare: Preparation | None = None,
     **window: Any,
 ) -> float:
-    """SSIM of two frames, (H, W, 3) or (H, W), as scikit-image computes it where no border is given.
+    """SSIM of two frames, (H, W, 3) or (H, W), as scikit-image computes it where no border is
+    given.
 
     Args:
         rendered: on the scale 0..255.
@@ -226,16 +265,20 @@ def similarity(
 
 
 @remembered
-def _moments(rendered: Levels, truth: Levels, side: int = 7, sigma: float = 0.0, border: int | None = None) -> tuple[Any, ...]:
-    """Return what SSIM is made of, of each window of two frames in 0..1, and the range of the true frame's levels.
+def _moments(
+    rendered: Levels, truth: Levels, side: int = 7, sigma: float = 0.0, border: int | None = None
+) -> tuple[Any, ...]:
+    """Return what SSIM is made of, of each window of two frames in 0..1, and the range of the true
+    frame's levels.
 
     Args:
         sigma: of a Gaussian window; 0 for a uniform one.
-        border: of OpenCV, for windows at every pixel as kornia (reflected) and pytorch-ssim (zeros) have them; None for windows
-            inside the frame alone.
+        border: of OpenCV, for windows at every pixel as kornia (reflected) and pytorch-ssim (zeros)
+            have them; None for windows inside the frame alone.
 
     Returns:
-        Strips of squares x^2 + y^2 and product 2 x y of the means, sum of the variances, and twice the covariance.
+        Strips of squares x^2 + y^2 and product 2 x y of the means, sum of the variances, and twice
+        the covariance.
     """
     taps = cv2.getGaussianKernel(side, sigma) if sigma else np.full(side, 1 / side)
     blur = partial(cv2.sepFilter2D, ddepth=-1, kernelX=taps, kernelY=taps)
@@ -243,9 +286,14 @@ def _moments(rendered: Levels, truth: Levels, side: int = 7, sigma: float = 0.0,
     levels = (float(second.max()) - float(second.min())) / 255
     half = side // 2
     if border is not None:
-        first, second = (cv2.copyMakeBorder(image, half, half, half, half, border) for image in (first, second))
+        first, second = (
+            cv2.copyMakeBorder(image, half, half, half, half, border) for image in (first, second)
+        )
     if min(first.shape[:2]) < side:
-        raise MetricError(f"SSIM: wanted frames of at least {side} x {side} pixels, its window; got {truth.shape[:2]}")
+        raise MetricError(
+            f"SSIM: wanted frames of at least {side} x {side} pixels, its window; got "
+            f"{truth.shape[:2]}"
+        )
     strips = []
     for start in range(0, len(first) - 2 * half, STRIP_ROWS):
         x, y = (image[start : start + STRIP_ROWS + 2 * half] / 255.0 for image in (first, second))
@@ -256,16 +304,28 @@ def _moments(rendered: Levels, truth: Levels, side: int = 7, sigma: float = 0.0,
     return strips, levels
 
 
-def _block_similarity(planes: Callable[[Image8], list[Levels]], rendered: Image8, truth: Image8) -> float:
-    """Return ffmpeg's ``All``: SSIM of 8 x 8 blocks at every fourth pixel, planes weighted by their size (vf_ssim.c)."""
+def _block_similarity(
+    planes: Callable[[Image8], list[Levels]], rendered: Image8, truth: Image8
+) -> float:
+    """Return ffmpeg's ``All``: SSIM of 8 x 8 blocks at every fourth pixel, planes weighted by their
+    size (vf_ssim.c).
+    """
     small, large = int(0.01**2 * 255**2 * 64 + 0.5), int(0.03**2 * 255**2 * 64 * 63 + 0.5)
     scores, sizes = [], []
     for x, y in zip(planes(rendered), planes(truth), strict=True):
         x, y = (np.asarray(plane, dtype=np.int64) for plane in (x, y))
-        sum_x, sum_y, squares, products = (_block_sums(plane) for plane in (x, y, x * x + y * y, x * y))
+        sum_x, sum_y, squares, products = (
+            _block_sums(plane) for plane in (x, y, x * x + y * y, x * y)
+        )
         variance, covariance = squares * 64 - sum_x**2 - sum_y**2, products * 64 - sum_x * sum_y
         above = (2 * sum_x * sum_y + small).astype(np.float64) * (2 * covariance + large)
-        scores.append(float((above / ((sum_x**2 + sum_y**2 + small).astype(np.float64) * (variance + large))).mean()))
+        scores.append(
+            float(
+                (
+                    above / ((sum_x**2 + sum_y**2 + small).astype(np.float64) * (variance + large))
+                ).mean()
+            )
+        )
         sizes.append(prod(x.shape))
     return float(np.average(scores, weights=sizes))
 
@@ -309,24 +369,36 @@ def _change_scores(view: ViewFrames) -> Iterator[dict[str, float]]:
     """SSIM of the pictures of change from each frame to the next."""
     for before, after in pairwise(view_pairs(view)):
         rendered, truth = (cv2.absdiff(*frames) for frames in zip(before, after, strict=True))
-        wrapped, true_wrapped = (later - earlier for earlier, later in zip(before, after, strict=True))
+        wrapped, true_wrapped = (
+            later - earlier for earlier, later in zip(before, after, strict=True)
+        )
         channels = [similarity(rendered[..., c], truth[..., c], **GAUSSIAN) for c in range(3)]
         largest = max(float(truth.max()), 1.0) / 255
         yield {
             OUR_TCC: float(np.maximum(channels, 0).mean()),
             "Gaussian 11 x 11, valid positions, range 1, not cut off": float(np.mean(channels)),
-            "Gaussian 11 x 11, zero-padded, range 1": ssim_variant(rendered, truth, "gaussian-zero"),
-            "Gaussian 11 x 11, valid positions, range of the largest change": similarity(rendered, truth, largest, **GAUSSIAN),
-            "Gaussian 11 x 11, valid positions, range 2": similarity(rendered, truth, 2.0, **GAUSSIAN),
+            "Gaussian 11 x 11, zero-padded, range 1": ssim_variant(
+                rendered, truth, "gaussian-zero"
+            ),
+            "Gaussian 11 x 11, valid positions, range of the largest change": similarity(
+                rendered, truth, largest, **GAUSSIAN
+            ),
+            "Gaussian 11 x 11, valid positions, range 2": similarity(
+                rendered, truth, 2.0, **GAUSSIAN
+            ),
             "uniform 7 x 7, range 1": similarity(rendered, truth),
             "uniform 7 x 7, range 2": similarity(rendered, truth, 2.0),
-            "mean of the channels' changes": similarity(rendered.mean(axis=-1), truth.mean(axis=-1), **GAUSSIAN),
+            "mean of the channels' changes": similarity(
+                rendered.mean(axis=-1), truth.mean(axis=-1), **GAUSSIAN
+            ),
             "differences of 8 bit that wrap around": similarity(wrapped, true_wrapped, **GAUSSIAN),
         }
 
 
 def sdt_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """Return the standard deviation of L1 over time: candidates for the errors, the order and the divisor."""
+    """Return the standard deviation of L1 over time: candidates for the errors, the order and the
+    divisor.
+    """
     errors = measured(views, {"": absolute})
     if min(len(view.frames) for view in views.values()) < 2:
         raise MetricError("SDT is a spread over frames: a view has 1; needs 2")
@@ -335,19 +407,28 @@ def sdt_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         spread = partial(np.std, ddof=ddof)
         poolings += [
             over_views(f"mean over the views of each one's spread over time, {divisor}", spread),
-            _of_all(f"spread of all frames of all views together, {divisor}", np.concatenate, spread),
+            _of_all(
+                f"spread of all frames of all views together, {divisor}", np.concatenate, spread
+            ),
         ]
         if _is_table(views):
             mean = partial(np.mean, axis=0)
-            poolings.append(_of_all(f"spread over time of the mean over the views, {divisor}", mean, spread))
+            poolings.append(
+                _of_all(f"spread over time of the mean over the views, {divisor}", mean, spread)
+            )
     own_name = "mean over the views of each one's spread over time, ddof 1, L1 in 0..255"
     return conventions(errors, poolings, L1_LEVELS, own_name)
 
 
 def sdv_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """Return the standard deviation of L1 over views: candidates for the errors, the order and the divisor."""
+    """Return the standard deviation of L1 over views: candidates for the errors, the order and the
+    divisor.
+    """
     if len(views) < 2 or not _is_table(views):
-        raise MetricError(f"SDV is a spread over views with equal frames: {len(views)} view; needs 2 of as many frames")
+        raise MetricError(
+            f"SDV is a spread over views with equal frames: {len(views)} view; needs 2 of as many "
+            f"frames"
+        )
     poolings = []
     for divisor, ddof in DIVISORS.items():
         spread = partial(np.std, ddof=ddof)
@@ -384,7 +465,10 @@ def sted_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 
 def _view_values(view: ViewFrames) -> dict[str, float]:
-    """Return the name of the convention -> value of one view; only the bands of the frames are kept."""
+    """Return the name of the convention -> value of one view.
+
+    Only the bands of the frames are kept.
+    """
     values: dict[str, float] = {}
     bands: dict[str, list[tuple[Values, Values]]] = {name: [] for name in LUMAS}
     for pair in view_pairs(view):
@@ -401,7 +485,9 @@ def _view_values(view: ViewFrames) -> dict[str, float]:
 
 
 def _pair_differences(bands: list[tuple[Values, Values]], pairing: StedPairing) -> strred.StRred:
-    """Return the differences of the pairs, from bands instead of frames so that each frame is filtered once."""
+    """Return the differences of the pairs, from bands instead of frames so that each frame is
+    filtered once.
+    """
     step = 2 if pairing == "disjoint" else 1
     differences = []
     for index in range(0, len(bands) - 1, step):

@@ -42,7 +42,9 @@ WARPING_SCALES = [_scaled_mean("white is 1", 1.0), _scaled_mean("x 1000", 1000.0
 
 
 def mtv_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """Return the change of the renderings from frame to frame in several masks and on several scales."""
+    """Return the change of the renderings from frame to frame in several masks and on several
+    scales.
+    """
     require_changes(views, "mTV is a change between frames")
     series = series_of({name: _variations(view) for name, view in views.items()})
     return conventions(series, MTV_SCALES, own_name=f"{OURS}, x 100")
@@ -66,9 +68,11 @@ def _variations(view: ViewFrames) -> Iterator[dict[str, float | None]]:
 
 
 def warping_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """Warping error of the renderings of static cameras, whose geometric flow is zero: against which frame, where, how.
+    """Warping error of the renderings of static cameras, whose geometric flow is zero: against
+    which frame, where, how.
 
-    Programs differ by what they square and sum, and by a factor of a thousand; long-term errors compare with the first frame.
+    Programs differ by what they square and sum, and by a factor of a thousand; long-term errors
+    compare with the first frame.
     """
     require_changes(views, "a warping error is between frames")
     series = series_of({name: _warping_errors(view) for name, view in views.items()})

@@ -44,12 +44,18 @@ def export(
     if out.suffix.lower() != ".glb":
         raise RenderError(f"{out}: wanted a .glb file name; use {out.with_suffix('.glb').name}")
     if not (fps is None or 0 < fps < float("inf")) or not (frames is None or frames > 0):
-        raise CommandError(f"wanted --fps above 0 and --frames of at least 1, got {fps} and {frames}")
+        raise CommandError(
+            f"wanted --fps above 0 and --frames of at least 1, got {fps} and {frames}"
+        )
     opened = open_capture(capture, layout) if capture else None
     sequence = open_sequence(splats, opened.n_frames if opened else None)
     rate = fps or (opened.fps if opened else 0) or FPS
     direction = up if up or not opened else tuple(up_direction(opened.cameras))
     instants = list(sequence.instants)[:frames]
     write_glb(out, instants, sequence.cloud, fps=rate, degree=degree, up=direction)
-    length = f"{len(instants)} instants at {rate:g} frames per second" if len(instants) > 1 else "one instant"
+    length = (
+        f"{len(instants)} instants at {rate:g} frames per second"
+        if len(instants) > 1
+        else "one instant"
+    )
     print(f"{out}: {length}, {out.stat().st_size / 1e6:.1f} MB")

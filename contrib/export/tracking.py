@@ -1,4 +1,6 @@
-"""Results for experiment trackers: TensorBoard, MLflow and Weights & Biases, each optional, all without a network."""
+"""Results for experiment trackers: TensorBoard, MLflow and Weights & Biases, each optional, all
+without a network.
+"""
 
 import importlib.util
 import math
@@ -25,7 +27,8 @@ class TrackedMethod:
     """One method in one run, as a run of a tracker.
 
     Attributes:
-        settings: what was asked for: the protocol's values under dotted names, its hash, scene and method.
+        settings: what was asked for: the protocol's values under dotted names, its hash, scene and
+            method.
         means: metric -> its number, as in the tables.
         curves: metric -> (frame, mean over the views) of those that have a value per frame.
     """
@@ -41,15 +44,17 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
 
     Args:
         roots: run folders; frames may be absent.
-        out: folder for the tracker's files. MLflow writes a database there unless ``MLFLOW_TRACKING_URI`` names a place, W&B
-            stays offline unless ``WANDB_MODE`` says otherwise.
+        out: folder for the tracker's files. MLflow writes a database there unless
+            ``MLFLOW_TRACKING_URI`` names a place, W&B stays offline unless ``WANDB_MODE`` says
+            otherwise.
 
     Raises:
         ResultsError: the tracker's package is not installed, or a folder that is no scored run.
     """
     if importlib.util.find_spec(PACKAGES[tracker]) is None:
         raise ResultsError(
-            f"--to {tracker}: wanted the package {PACKAGES[tracker]}, got none; run pip install 'ggvs-eval[{tracker}]'"
+            f"--to {tracker}: wanted the package {PACKAGES[tracker]}, got none; run pip install "
+            f"'ggvs-eval[{tracker}]'"
         )
     runs = [read_scores(root) for root in roots]
     out.mkdir(parents=True, exist_ok=True)
@@ -64,17 +69,34 @@ def tracked_methods(run: MeasuredRun, name: str) -> list[TrackedMethod]:
     table = run.results.table
     labels = run.results.row_labels
     means: dict[Any, dict[Any, Any]] = run.results.summary().droplevel("dataset").to_dict("index")
-    protocol = {"scene": run.scene, "protocol_sha256": run.protocol.sha256, **_flat(asdict(run.protocol))}
+    protocol = {
+        "scene": run.scene,
+        "protocol_sha256": run.protocol.sha256,
+        **_flat(asdict(run.protocol)),
+    }
     tracked = []
     for label in run.labels:
         rows = table[[row_label == label for row_label in labels]]
-        framed = rows[rows["frame"] >= 0].groupby(["metric", "frame"], sort=False)["value"].mean().reset_index()
+        framed = (
+            rows[rows["frame"] >= 0]
+            .groupby(["metric", "frame"], sort=False)["value"]
+            .mean()
+            .reset_index()
+        )
         curves: dict[str, list[tuple[int, float]]] = {}
-        for metric, frame, value in zip(framed["metric"], framed["frame"], framed["value"], strict=True):
+        for metric, frame, value in zip(
+            framed["metric"], framed["frame"], framed["value"], strict=True
+        ):
             curves.setdefault(str(metric), []).append((int(frame), float(value)))
         settings = {**protocol, "method": run.name(label)}
-        numbers = {str(metric): float(value) for metric, value in means[split_label(label)].items() if not math.isnan(value)}
-        tracked.append(TrackedMethod(f"{name}/{label}", settings, numbers, curves))
+        numbers = {
+            str(metric): float(value)
+            for metric, value in means[split_label(label)].items()
+            if not math.isnan(value)
+        }
+        tracked.append(
+            TrackedMethod(name=f"{name}/{label}", settings=settings, means=numbers, curves=curves)
+        )
     return tracked
 
 
@@ -82,7 +104,11 @@ def _flat(values: Mapping[str, Any], head: str = "") -> dict[str, str]:
     """Nested values under dotted names, as text."""
     flat: dict[str, str] = {}
     for key, value in values.items():
-        flat |= _flat(value, f"{head}{key}.") if isinstance(value, Mapping) else {f"{head}{key}": str(value)}
+        flat |= (
+            _flat(value, f"{head}{key}.")
+            if isinstance(value, Mapping)
+            else {f"{head}{key}": str(value)}
+        )
     return flat
 
 
@@ -90,7 +116,9 @@ def _write_tensorboard(method: TrackedMethod, project: str, out: Path) -> None:
     from tensorboardX import SummaryWriter
 
     with SummaryWriter(str(out / project / method.name)) as writer:
-        writer.add_text("settings", "\n".join(f"- {name}: {value}" for name, value in method.settings.items()))
+        writer.add_text(
+            "settings", "\n".join(f"- {name}: {value}" for name, value in method.settings.items())
+        )
         for metric, value in method.means.items():
             writer.add_scalar(f"mean/{metric}", value)
         for metric, curve in method.curves.items():
@@ -101,7 +129,11 @@ def _write_tensorboard(method: TrackedMethod, project: str, out: Path) -> None:
 def _write_mlflow(method: TrackedMethod, project: str, out: Path) -> None:
     from mlflow import MlflowClient
 
-    client = MlflowClient(tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{(out / MLFLOW_FILE).resolve()}"))
+    client = MlflowClient(
+        tracking_uri=os.environ.get(
+            "MLFLOW_TRACKING_URI", f"sqlite:///{(out / MLFLOW_FILE).resolve()}"
+        )
+    )
     experiment = client.get_experiment_by_name(project)
     place = experiment.experiment_id if experiment else client.create_experiment(project)
     run_id = client.create_run(place, run_name=method.name).info.run_id
@@ -121,12 +153,24 @@ def _write_wandb(method: TrackedMethod, project: str, out: Path) -> None:
     mode: Any = os.environ.get("WANDB_MODE", "offline")
     settings = wandb.Settings(silent=True, console="off")
     with wandb.init(
-        project=project, name=method.name, config=dict(method.settings), dir=out, mode=mode, settings=settings
+        project=project,
+        name=method.name,
+        config=dict(method.settings),
+        dir=out,
+        mode=mode,
+        settings=settings,
     ) as run:
         frames = sorted({frame for curve in method.curves.values() for frame, _ in curve})
         curves = {metric: dict(curve) for metric, curve in method.curves.items()}
         for frame in frames:
-            run.log({f"frame/{metric}": curve[frame] for metric, curve in curves.items() if frame in curve}, step=frame)
+            run.log(
+                {
+                    f"frame/{metric}": curve[frame]
+                    for metric, curve in curves.items()
+                    if frame in curve
+                },
+                step=frame,
+            )
         run.summary.update({f"mean/{metric}": value for metric, value in method.means.items()})
 
 

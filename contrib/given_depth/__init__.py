@@ -1,1 +1,3 @@
-"""Depth from elsewhere: maps of another program in place of stereo, aligned with the capture's calibration."""
+"""Depth from elsewhere: maps of another program in place of stereo, aligned with the capture's
+calibration.
+"""

@@ -1,4 +1,6 @@
-"""One capture under several calibrations or depths: the same frames and protocol, and what each choice costs."""
+"""One capture under several calibrations or depths: the same frames and protocol, and what each
+choice costs.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,10 +27,18 @@ from ggvs_eval.pipelines.commands.flags import (
 )
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.tables.compare_runs import Difference, cells_of, compare_pairs, differences_csv, run_sides
+from ggvs_eval.reports.tables.compare_runs import (
+    Difference,
+    cells_of,
+    compare_pairs,
+    differences_csv,
+    run_sides,
+)
 
 Variants = Annotated[
-    tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...", help_behavior_hint="(required)")
+    tuple[str, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="NAME=CAPTURE ...", help_behavior_hint="(required)"),
 ]
 Depths = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=DIR ...", help_behavior_hint=NONE)]
 METHODS = ("ours-geometric",)
@@ -61,13 +71,15 @@ def calibrations(
 ) -> None:
     """Render one capture under several calibrations or depths and compare.
 
-    Frames and protocol are the same; each variant is a run folder OUT/NAME. The table gives the differences to the first
-    one, paired over frames. A second call resumes.
+    Frames and protocol are the same; each variant is a run folder OUT/NAME. The table gives the
+    differences to the first one, paired over frames. A second call resumes.
 
     Args:
         out: folder of the runs, and of calibrations.csv.
-        variants: captures with the same frames and another calibration each, as given=room refined=room_refined.
-        depths: depth of another program for a variant; a new name uses the first capture, as vggt=vggt_depth.
+        variants: captures with the same frames and another calibration each, as given=room
+            refined=room_refined.
+        depths: depth of another program for a variant; a new name uses the first capture, as
+            vggt=vggt_depth.
         protocol: protocol (.toml or packaged name); fitted to the first capture by default.
         methods: methods that show the difference.
         reading: capture reading; --depth-scale and --depth-is hold for all depths.
@@ -86,15 +98,31 @@ def calibrations(
     opened = {variant: _open(variant, reading) for variant in choices}
     first = opened[choices[0]]
     terms = load_protocol(protocol) if protocol else suggest_protocol(first)
-    terms = replace(terms, synthesis=replace(terms.synthesis, calibration=None))  # each as it is given
+    # each as it is given
+    terms = replace(terms, synthesis=replace(terms.synthesis, calibration=None))
     for variant, capture in opened.items():
         require_same_frames(choices[0], first, variant, capture, terms)
     for variant, capture in opened.items():
-        measure(plan_run(RunRequest(engine.place(out) / variant.name, capture, terms, methods, depth)), engine)
+        measure(
+            plan_run(
+                RunRequest(
+                    root=engine.place(out) / variant.name,
+                    capture=capture,
+                    protocol=terms,
+                    labels=methods,
+                    depth=depth,
+                )
+            ),
+            engine,
+        )
     reference = choices[0].name
     by_variant = compare_variants(out, reference, [variant.name for variant in choices[1:]])
-    by_pair = {f"{method}: {name} against {reference}": rows for (name, method), rows in by_variant.items()}
-    write_text(out / "calibrations.csv", differences_csv(by_pair, ("value", f"value of {reference}")))
+    by_pair = {
+        f"{method}: {name} against {reference}": rows for (name, method), rows in by_variant.items()
+    }
+    write_text(
+        out / "calibrations.csv", differences_csv(by_pair, ("value", f"value of {reference}"))
+    )
     print(costs_text(reference, by_variant))
 
 
@@ -106,12 +134,20 @@ def parse_variants(variants: Sequence[str], depths: Sequence[str]) -> list[Varia
     """
     folders, maps = (_pairs(words) for words in (variants, depths))
     if not folders:
-        raise CommandError("wanted NAME=CAPTURE of at least one capture, got none; give e.g. given=room refined=room_refined")
+        raise CommandError(
+            "wanted NAME=CAPTURE of at least one capture, got none; give e.g. given=room "
+            "refined=room_refined"
+        )
     usual = next(iter(folders.values()))
     choices = [Variant(name, path, maps.get(name)) for name, path in folders.items()]
-    choices += [Variant(name, usual, folder) for name, folder in maps.items() if name not in folders]
+    choices += [
+        Variant(name, usual, folder) for name, folder in maps.items() if name not in folders
+    ]
     if len(choices) < 2:
-        raise CommandError(f"wanted at least two variants, got {choices[0].name}; add NAME=CAPTURE, or --depths NAME=DIR")
+        raise CommandError(
+            f"wanted at least two variants, got {choices[0].name}; add NAME=CAPTURE, or --depths "
+            f"NAME=DIR"
+        )
     return choices
 
 
@@ -119,9 +155,13 @@ def _pairs(words: Sequence[str]) -> dict[str, Path]:
     pairs = [word.partition("=") for word in words]
     for name, equals, path in pairs:
         if not (equals and path) or not name or Path(name).name != name or name.startswith("."):
-            raise CommandError(f"wanted NAME=PATH with a name that a folder can have, got {name}{equals}{path}")
+            raise CommandError(
+                f"wanted NAME=PATH with a name that a folder can have, got {name}{equals}{path}"
+            )
     if len({name for name, _, _ in pairs}) < len(pairs):
-        raise CommandError(f"wanted each name once, got {', '.join(name for name, _, _ in pairs)}; rename one")
+        raise CommandError(
+            f"wanted each name once, got {', '.join(name for name, _, _ in pairs)}; rename one"
+        )
     return {name: Path(path) for name, _, path in pairs}
 
 
@@ -129,7 +169,9 @@ def _open(variant: Variant, reading: CaptureOptions) -> Capture:
     return replace(reading, depth=variant.depth or reading.depth).open(variant.path)
 
 
-def require_same_frames(reference: Variant, first: Capture, variant: Variant, second: Capture, protocol: Protocol) -> None:
+def require_same_frames(
+    reference: Variant, first: Capture, variant: Variant, second: Capture, protocol: Protocol
+) -> None:
     """Refuse a variant whose test views have other pictures, before hours are spent on it.
 
     Raises:
@@ -138,16 +180,24 @@ def require_same_frames(reference: Variant, first: Capture, variant: Variant, se
     start = protocol.frames.start
     for view in protocol.views.test:
         if view not in second.camera_names:
-            raise CaptureError(f"{variant.path}: wanted the test view {view}, got {', '.join(second.camera_names)}; add it")
+            raise CaptureError(
+                f"{variant.path}: wanted the test view {view}, got "
+                f"{', '.join(second.camera_names)}; add it"
+            )
         if not np.array_equal(first.frame(view, start), second.frame(view, start)):
             raise CaptureError(
-                f"{variant.path}: wanted the frames of {reference.path}, but frame {start} of {view} differs (another lens "
-                "model is undistorted to other pictures); undistort once, and calibrate the pinhole videos"
+                f"{variant.path}: wanted the frames of {reference.path}, but frame {start} of "
+                f"{view} differs (another lens model is undistorted to other pictures); undistort "
+                "once, and calibrate the pinhole videos"
             )
 
 
-def compare_variants(out: Path, reference: str, variants: Sequence[str]) -> dict[tuple[str, str], tuple[Difference, ...]]:
-    """Return (variant, method) -> differences of its run to the reference's, decided together over all of them."""
+def compare_variants(
+    out: Path, reference: str, variants: Sequence[str]
+) -> dict[tuple[str, str], tuple[Difference, ...]]:
+    """Return (variant, method) -> differences of its run to the reference's, decided together over
+    all of them.
+    """
     pairs, names = {}, {}
     for variant in variants:
         for base, changed in run_sides(out / reference, out / variant):
@@ -158,12 +208,23 @@ def compare_variants(out: Path, reference: str, variants: Sequence[str]) -> dict
 
 
 def costs_text(first: str, compared: Mapping[tuple[str, str], Sequence[Difference]]) -> str:
-    """Return a line per variant, method and metric: value of the first, value, and difference with its interval."""
+    """Return a line per variant, method and metric: value of the first, value, and difference with
+    its interval.
+    """
     rows = []
     for (name, method), several in compared.items():
         for row in several:
             if not row.view:
                 metric, _, value, reference, change, interval, _, verdict = cells_of(row)
                 rows.append((name, method, metric, reference, value, change, interval, verdict))
-    heads = {"variant": 0, "method": 0, "metric": 0, first: 0, "value": 0, f"minus {first}": 0, "95 %": 0, "verdict": 1}
+    heads = {
+        "variant": 0,
+        "method": 0,
+        "metric": 0,
+        first: 0,
+        "value": 0,
+        f"minus {first}": 0,
+        "95 %": 0,
+        "verdict": 1,
+    }
     return text_table(heads, rows)

@@ -1,4 +1,6 @@
-"""Depth maps of another program: files of several kinds, and the depth of one camera made of them."""
+"""Depth maps of another program: files of several kinds, and the depth of one camera made
+of them.
+"""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -52,14 +54,18 @@ class MapFiles:
         return digest_values(digest_files(self.files), f"{self.scale:.17g}", str(self.is_distance))
 
     def depths(self, start: int, stop: int) -> Iterator[Depth]:
-        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32 (h, w).
+        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32
+        (h, w).
 
         Raises:
             CaptureError: maps that are not there or cannot be read.
         """
         if not 0 <= start <= stop <= self.n_frames:
             request = f"wanted depth maps {start}..{stop - 1} of {self.camera.name}"
-            raise CaptureError(f"{self.files[0].parent}: {request}, got {self.n_frames}; choose other frames or add maps")
+            raise CaptureError(
+                f"{self.files[0].parent}: {request}, got {self.n_frames}; choose other frames or "
+                f"add maps"
+            )
         stack = read_stack(self.files[0]) if len(self.files) == 1 else None
         for frame in range(start, stop):
             values = read_map(self.files[frame]) if stack is None else stack[frame]
@@ -69,7 +75,9 @@ class MapFiles:
         with np.errstate(invalid="ignore"):
             mask = np.isfinite(values) & (values > 0)
         depth = np.where(mask, values, 0) * self.scale
-        return (depth * z_per_distance(self.camera, depth.shape) if self.is_distance else depth).astype(np.float32)
+        return (
+            depth * z_per_distance(self.camera, depth.shape) if self.is_distance else depth
+        ).astype(np.float32)
 
 
 def z_per_distance(camera: Camera, shape: tuple[int, ...]) -> Array:
@@ -81,7 +89,8 @@ def z_per_distance(camera: Camera, shape: tuple[int, ...]) -> Array:
 
 
 def find_maps(folder: Path, camera_names: tuple[str, ...]) -> Mapping[str, tuple[Path, ...]]:
-    """Files of each camera that has any: ``CAM/FRAME.EXT`` in the order of their numbers, or ``CAM.EXT``.
+    """Files of each camera that has any: ``CAM/FRAME.EXT`` in the order of their numbers, or
+    ``CAM.EXT``.
 
     Raises:
         CaptureError: no folder, no map of any camera, or maps of two kinds for one camera.
@@ -91,20 +100,26 @@ def find_maps(folder: Path, camera_names: tuple[str, ...]) -> Mapping[str, tuple
     maps: dict[str, tuple[Path, ...]] = {}
     for name in camera_names:
         inner = sorted(file for file in (folder / name).glob("*") if file.suffix.lower() in ENDINGS)
-        single = sorted({*(folder / f"{name}{ending}" for ending in ENDINGS), *folder.glob(f"{name}.*{COLMAP_ENDING}")})
+        single = sorted(
+            {
+                *(folder / f"{name}{ending}" for ending in ENDINGS),
+                *folder.glob(f"{name}.*{COLMAP_ENDING}"),
+            }
+        )
         files = [file for file in single if file.is_file()]
         if (inner and files) or len(files) > 1 or len({file.suffix.lower() for file in inner}) > 1:
             kinds = ", ".join(str(file.relative_to(folder)) for file in [*files, *inner[:2]])
             raise CaptureError(
-                f"{folder}: wanted one kind of depth maps for {name}, got {kinds}; keep one kind in --depth's folder"
+                f"{folder}: wanted one kind of depth maps for {name}, got {kinds}; keep one kind "
+                f"in --depth's folder"
             )
         if inner or files:
             maps[name] = _in_order(inner) if inner else tuple(files)
     if not maps:
         names = ", ".join(sorted(entry.name for entry in folder.iterdir())[:6]) or "nothing"
         raise CaptureError(
-            f"{folder}: wanted depth as CAM/FRAME.EXT or CAM.EXT of {', '.join(camera_names[:4])} ... "
-            f"({', '.join(ENDINGS)}), got {names}; name files after the cameras"
+            f"{folder}: wanted depth as CAM/FRAME.EXT or CAM.EXT of {', '.join(camera_names[:4])} "
+            f"... ({', '.join(ENDINGS)}), got {names}; name files after the cameras"
         )
     return maps
 
@@ -112,9 +127,14 @@ def find_maps(folder: Path, camera_names: tuple[str, ...]) -> Mapping[str, tuple
 def _in_order(files: Sequence[Path]) -> tuple[Path, ...]:
     """Files by the numbers in their names."""
     numbers = numbers_in([file.stem for file in files])
-    named = [(number, file) for number, file in zip(numbers, files, strict=True) if number is not None]
+    named = [
+        (number, file) for number, file in zip(numbers, files, strict=True) if number is not None
+    ]
     if len(files) > 1 and len({number for number, _ in named}) < len(files):
-        raise CaptureError(f"{files[0].parent}: wanted one depth map per frame number, got {files[0].name} ...; number the files")
+        raise CaptureError(
+            f"{files[0].parent}: wanted one depth map per frame number, got {files[0].name} ...; "
+            f"number the files"
+        )
     return tuple(file for _, file in sorted(named)) if len(files) > 1 else tuple(files)
 
 
@@ -128,7 +148,10 @@ def read_map(file: Path) -> NDArray[np.floating]:
     """The map of a file, (H, W)."""
     values = _read(file)
     if values.ndim != 2:
-        raise CaptureError(f"{file}: wanted one map (H, W), got {values.shape}; write one map per file, or one stack per camera")
+        raise CaptureError(
+            f"{file}: wanted one map (H, W), got {values.shape}; write one map per file, or one "
+            f"stack per camera"
+        )
     return values
 
 
@@ -143,7 +166,8 @@ def _read(file: Path) -> NDArray[np.floating]:
         values = values[..., 0]
     if values.ndim not in (2, 3) or values.size == 0 or not np.issubdtype(values.dtype, np.number):
         raise CaptureError(
-            f"{file}: wanted numbers (H, W) or (T, H, W), got {values.dtype} {values.shape}; write z of each pixel"
+            f"{file}: wanted numbers (H, W) or (T, H, W), got {values.dtype} {values.shape}; write "
+            f"z of each pixel"
         )
     return np.asarray(values, np.result_type(values.dtype, np.float32))
 
@@ -160,10 +184,14 @@ def _read_by_ending(file: Path) -> NDArray[np.generic]:
             return np.asarray(archive[NAMED if NAMED in names else names[0]])
     if ending == ".bin":
         return read_array(file)
-    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")  # OpenCV asks once, when it reads its first one
+    # OpenCV asks once, when it reads its first one
+    os.environ.setdefault("OPENCV_IO_ENABLE_OPENEXR", "1")
     values = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if values is None:
         raise ValueError("OpenCV cannot decode it")
     if ending == ".png" and (values.dtype != np.uint16 or values.ndim != 2):
-        raise ValueError(f"{values.dtype} with {1 if values.ndim == 2 else values.shape[2]} channels, not one of 16 bit")
+        raise ValueError(
+            f"{values.dtype} with {1 if values.ndim == 2 else values.shape[2]} channels, not one "
+            f"of 16 bit"
+        )
     return np.asarray(values)

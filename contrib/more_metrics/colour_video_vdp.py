@@ -12,7 +12,14 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.more_metrics.spooled_frames import SpooledFrames
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair, require_finite
-from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import (
+    FURTHER,
+    ColourMap,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -30,11 +37,12 @@ def colour_video_vdp(
     """ColorVideoVDP of one view (Mantiuk et al. 2024).
 
     Args:
-        pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8, sRGB; spooled to disk.
+        pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8, sRGB; spooled
+            to disk.
 
     Returns:
-        Just-objectionable differences: 10 for equal videos, 1 less where 3 of 4 viewers prefer the captured one; higher is
-        better.
+        Just-objectionable differences: 10 for equal videos, 1 less where 3 of 4 viewers prefer the
+        captured one; higher is better.
 
     Example:
         >>> import numpy as np
@@ -43,8 +51,9 @@ def colour_video_vdp(
         10.0
 
     Reading:
-        The package's own display ``standard_4k``, 30 inches, 200 cd/m^2, 250 lux, seen from two heights, and 30 frames per
-        second: pixels are as small as on that display, regardless of the size of the frames.
+        The package's own display ``standard_4k``, 30 inches, 200 cd/m^2, 250 lux, seen from two
+        heights, and 30 frames per second: pixels are as small as on that display, regardless of the
+        size of the frames.
     """
     with SpooledFrames() as frames:
         for rendered, truth in pairs:
@@ -53,7 +62,12 @@ def colour_video_vdp(
         return _quality(frames, device, display, frames_per_second)
 
 
-def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_per_second: float = FRAMES_PER_SECOND) -> float:
+def _quality(
+    frames: SpooledFrames,
+    device: str,
+    display: str = DISPLAY,
+    frames_per_second: float = FRAMES_PER_SECOND,
+) -> float:
     import torch
 
     if not frames.count:
@@ -92,10 +106,12 @@ def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_
 
 @lru_cache(maxsize=1)
 def load_package() -> Any:
-    """Return the metric's own module, without its package's imports for files, trained variants and progress bars.
+    """Return the metric's own module, without its package's imports for files, trained variants and
+    progress bars.
 
-    Of torchvision it uses one Gaussian blur. Where a package is absent, or was compiled for another torch, a substitute is used
-    for it while the module is imported: the blur does the same, and what is never called is empty.
+    Of torchvision it uses one Gaussian blur. Where a package is absent, or was compiled for another
+    torch, a substitute is used for it while the module is imported: the blur does the same, and
+    what is never called is empty.
 
     Raises:
         MetricError: cvvdp is not installed, or is a version that this does not fit.
@@ -114,7 +130,9 @@ def load_package() -> Any:
         return import_module("pycvvdp.cvvdp_metric")
     except Exception as error:  # another version of it can raise anything
         sys.modules.pop("pycvvdp", None)
-        raise MetricError(f"ColorVideoVDP: cvvdp cannot be imported ({error}); `pip install 'ggvs-eval[cvvdp]'`") from error
+        raise MetricError(
+            f"ColorVideoVDP: cvvdp cannot be imported ({error}); `pip install 'ggvs-eval[cvvdp]'`"
+        ) from error
     finally:
         for name in substitutes:
             sys.modules.pop(name, None)
@@ -139,7 +157,9 @@ def _substitutes() -> dict[str, ModuleType]:
 
 
 class GaussianBlur:
-    """Gaussian blur of images (..., H, W), sampled at `taps` places, borders mirrored without the edge; as torchvision's."""
+    """Gaussian blur of images (..., H, W), sampled at `taps` places, borders mirrored without the
+    edge; as torchvision's.
+    """
 
     def __init__(self, taps: int, sigma_px: float) -> None:
         self._taps = taps
@@ -154,7 +174,9 @@ class GaussianBlur:
         offsets = torch.arange(-reach, reach + 1, dtype=images.dtype, device=images.device)
         weights = torch.exp(-0.5 * (offsets / self._sigma_px) ** 2)
         weights = weights / weights.sum()
-        flat = functional.pad(images.reshape(-1, 1, *images.shape[-2:]), (reach, reach, reach, reach), mode="reflect")
+        flat = functional.pad(
+            images.reshape(-1, 1, *images.shape[-2:]), (reach, reach, reach, reach), mode="reflect"
+        )
         window = torch.outer(weights, weights)[None, None]
         return functional.conv2d(flat, window).reshape(images.shape)
 
@@ -164,7 +186,9 @@ class ColourVideoVdpScorer:
 
     names = ("CVVDP",)
 
-    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None
+    ) -> None:
         self._device = options.device
         self._frames = SpooledFrames()
 
@@ -188,7 +212,8 @@ CVVDP = ViewMetric(
     higher_is_better=True,
     group=FURTHER,
     decimals=3,
-    describe=f"ColorVideoVDP on its display {DISPLAY} at {FRAMES_PER_SECOND:g} frames per second; 10 is no visible difference",
+    describe=f"ColorVideoVDP on its display {DISPLAY} at {FRAMES_PER_SECOND:g} frames per second; "
+    f"10 is no visible difference",
     reference="Mantiuk et al. 2024",
     scorer=ColourVideoVdpScorer,
     on_device=True,

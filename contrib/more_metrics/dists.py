@@ -19,7 +19,14 @@ from ggvs_eval.metrics.image.lpips_network import (
     weights_path,
 )
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
-from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import (
+    FURTHER,
+    ColourMap,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -29,7 +36,8 @@ Statistics = tuple["torch.Tensor", "torch.Tensor"]
 
 
 def dists(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Return the distance of structure and texture of two frames, tolerant to textures that are sampled anew.
+    """Return the distance of structure and texture of two frames, tolerant to textures that are
+    sampled anew.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -50,15 +58,17 @@ def dists(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
         0.0
 
     Reading:
-        The frame enters at its own size, as the authors' module takes it; their script shrinks photographs to 256 pixels first,
-        which gives other values. In a part, a place of a layer counts by the share of its pixels that are inside.
+        The frame enters at its own size, as the authors' module takes it; their script shrinks
+        photographs to 256 pixels first, which gives other values. In a part, a place of a layer
+        counts by the share of its pixels that are inside.
     """
     check_pair(rendered, truth)
     return dists_between(dists_features(rendered), dists_features(truth), mask)
 
 
 def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
-    """Return the frame and its features after each of the five blocks of VGG16, 3 to 512 channels, (1, C, H', W') float32 each.
+    """Return the frame and its features after each of the five blocks of VGG16, 3 to 512 channels,
+    (1, C, H', W') float32 each.
 
     Raises:
         MetricError: the frame is too small.
@@ -67,9 +77,14 @@ def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
     import torch
 
     if min(image.shape[:2]) < MIN_SIDE_PX["vgg"]:
-        raise MetricError(f"DISTS needs at least {MIN_SIDE_PX['vgg']} pixels a side, got {image.shape[:2]}")
+        raise MetricError(
+            f"DISTS needs at least {MIN_SIDE_PX['vgg']} pixels a side, got {image.shape[:2]}"
+        )
     weights = None if device == "cpu" else load_weights("vgg", device)
-    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
+    with (
+        torch.inference_mode(),
+        torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False),
+    ):
         unit = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)) / white_level(image)
         stages = [unit.permute(2, 0, 1)[None].to(device)]
         features = network_input(image, device)[None].contiguous(memory_format=torch.channels_last)
@@ -82,8 +97,12 @@ def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
     return stages
 
 
-def _block(features: "torch.Tensor", first: int, last: int, weights: "dict[str, torch.Tensor] | None") -> "torch.Tensor":
-    """Convolutions of VGG16 from `first` to `last`, with these weights or by the compiled kernel."""
+def _block(
+    features: "torch.Tensor", first: int, last: int, weights: "dict[str, torch.Tensor] | None"
+) -> "torch.Tensor":
+    """Convolutions of VGG16 from `first` to `last`, with these weights or by the compiled
+    kernel.
+    """
     import torch
     from torch.nn import functional
 
@@ -91,12 +110,15 @@ def _block(features: "torch.Tensor", first: int, last: int, weights: "dict[str, 
         pixels = np.ascontiguousarray(features[0].permute(1, 2, 0).numpy())
         return torch.from_numpy(compiled_layers(pixels, first, last)[0]).permute(2, 0, 1)[None]
     for i in range(first, last):
-        features = functional.conv2d(features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1).relu_()
+        features = functional.conv2d(
+            features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1
+        ).relu_()
     return features
 
 
 def _l2_pool(features: "torch.Tensor") -> "torch.Tensor":
-    """Return the root of the squares under a Hann window of 3 x 3 at every second place, in the place of VGG's maximum.
+    """Return the root of the squares under a Hann window of 3 x 3 at every second place, in the
+    place of VGG's maximum.
 
     As sums of shifted slices, a tenth of the time of a convolution by channel.
     """
@@ -111,10 +133,16 @@ def _l2_pool(features: "torch.Tensor") -> "torch.Tensor":
 
 
 def _every_second(values: "torch.Tensor", axis: int, start: int, count: int) -> "torch.Tensor":
-    return values[:, :, start : start + 2 * count : 2] if axis == 2 else values[..., start : start + 2 * count : 2]
+    return (
+        values[:, :, start : start + 2 * count : 2]
+        if axis == 2
+        else values[..., start : start + 2 * count : 2]
+    )
 
 
-def dists_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", mask: Mask | None = None) -> float:
+def dists_between(
+    rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", mask: Mask | None = None
+) -> float:
     """DISTS of two frames from their `dists_features`.
 
     Raises:
@@ -124,7 +152,9 @@ def dists_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", m
     import torch
 
     if [stage.shape for stage in rendered] != [stage.shape for stage in truth]:
-        raise MetricError("DISTS: the frames differ in size; resize or render again, metrics never resample")
+        raise MetricError(
+            "DISTS: the frames differ in size; resize or render again, metrics never resample"
+        )
     similarity = 0.0
     with torch.inference_mode():
         weights = load_dists_weights(str(truth[0].device))
@@ -133,20 +163,30 @@ def dists_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", m
             mean_x, mean_y = mean(x), mean(y)
             variances = mean((x - mean_x).square_()) + mean((y - mean_y).square_())
             covariance = mean(x * y) - mean_x * mean_y
-            of_means = (2 * mean_x * mean_y + STABILISER) / (mean_x.square() + mean_y.square() + STABILISER)
+            of_means = (2 * mean_x * mean_y + STABILISER) / (
+                mean_x.square() + mean_y.square() + STABILISER
+            )
             of_changes = (2 * covariance + STABILISER) / (variances + STABILISER)
-            similarity += float((texture * of_means.flatten() + structure * of_changes.flatten()).sum())
+            similarity += float(
+                (texture * of_means.flatten() + structure * of_changes.flatten()).sum()
+            )
     return require_finite(1 - similarity, "DISTS")
 
 
 def _mean_over(stage: "torch.Tensor", mask: Mask | None) -> "partial[torch.Tensor]":
-    """Return the mean over the places of a stage, (1, C, 1, 1), or over the shares of them that are inside a mask."""
+    """Return the mean over the places of a stage, (1, C, 1, 1), or over the shares of them that are
+    inside a mask.
+    """
     import torch
 
     if mask is None:
         return partial(torch.mean, dim=(2, 3), keepdim=True)
     count_inside(mask, mask.shape)
-    share = torch.from_numpy(cv2.resize(mask.astype(np.float32), (stage.shape[3], stage.shape[2]), interpolation=cv2.INTER_AREA))
+    share = torch.from_numpy(
+        cv2.resize(
+            mask.astype(np.float32), (stage.shape[3], stage.shape[2]), interpolation=cv2.INTER_AREA
+        )
+    )
     return partial(_weighted_mean, share=(share / share.sum()).to(stage.device))
 
 
@@ -158,19 +198,31 @@ def _weighted_mean(values: "torch.Tensor", share: "torch.Tensor") -> "torch.Tens
 
 @lru_cache(maxsize=1)
 def load_dists_weights(device: str = "cpu") -> "list[Statistics]":
-    """Return the weights of texture and of structure of each stage, (C,) each; together they sum to 1."""
+    """Return the weights of texture and of structure of each stage, (C,) each.
+
+    Together they sum to 1.
+    """
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     path = dists_weights_path()
     if not path.is_file():
-        raise WeightsError(f"DISTS: no weights at {path}; run `{FETCH_COMMAND}` with network access")
+        raise WeightsError(
+            f"DISTS: no weights at {path}; run `{FETCH_COMMAND}` with network access"
+        )
     try:
         tensors = load_file(path, device=device)
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`") from error
-    if {name: tuple(tensor.shape) for name, tensor in tensors.items()} != dict.fromkeys(("alpha", "beta"), (sum(CHANNELS),)):
-        raise WeightsError(f"{path}: wanted the tensors of DISTS, got others; move it away and run `{FETCH_COMMAND}`")
+        raise WeightsError(
+            f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`"
+        ) from error
+    if {name: tuple(tensor.shape) for name, tensor in tensors.items()} != dict.fromkeys(
+        ("alpha", "beta"), (sum(CHANNELS),)
+    ):
+        raise WeightsError(
+            f"{path}: wanted the tensors of DISTS, got others; move it away and run "
+            f"`{FETCH_COMMAND}`"
+        )
     total = tensors["alpha"].sum() + tensors["beta"].sum()
     split = ((tensors[name] / total).split(CHANNELS) for name in ("alpha", "beta"))
     return list(zip(*split, strict=True))
@@ -181,7 +233,9 @@ class DistsScorer:
 
     names = ("DISTS",)
 
-    def __init__(self, _names: object, options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, _names: object, options: MetricOptions, _colour_map: ColourMap | None
+    ) -> None:
         self._options = options
 
     def add(self, index: int, rendered: Image, truth: TruthFrame) -> list[Value]:

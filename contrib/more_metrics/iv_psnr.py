@@ -1,4 +1,6 @@
-"""IV-PSNR, the fidelity measure of ISO/IEC MPEG immersive video: PSNR that forgives two pixels and a shade of colour."""
+"""IV-PSNR, the fidelity measure of ISO/IEC MPEG immersive video: PSNR that forgives two pixels and
+a shade of colour.
+"""
 
 from typing import Literal
 
@@ -15,11 +17,14 @@ WEIGHTS = np.array([4, 1, 1]) / 6  # of Y, Cb and Cr
 WHITE = 255.0
 
 
-def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Colours = "rgb") -> float:
+def iv_psnr(
+    rendered: Image, truth: Image, mask: Mask | None = None, colours: Colours = "rgb"
+) -> float:
     """IV-PSNR of one frame (Dziembowski, Mieloch, Stankowski, Grzelka 2022).
 
-    The rounded mean difference of colour is taken out, by 3 levels at most. Then each rendered pixel is compared with
-    that true one within two pixels (5 x 5) which is nearest to it in colour, 4 dY^2 + dCb^2 + dCr^2, and vice versa.
+    The rounded mean difference of colour is taken out, by 3 levels at most. Then each rendered
+    pixel is compared with that true one within two pixels (5 x 5) which is nearest to it in colour,
+    4 dY^2 + dCb^2 + dCr^2, and vice versa.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -28,8 +33,9 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Co
         colours: what the three channels are; RGB becomes 8-bit YCbCr of BT.709 without headroom.
 
     Returns:
-        The worse of both directions, each the mean of the PSNRs of Y, Cb and Cr with weights 4:1:1, dB; higher is better. Equal
-        frames have a squared error of 1 in all, not 0: 110 dB at 1352x1014.
+        The worse of both directions, each the mean of the PSNRs of Y, Cb and Cr with weights 4:1:1,
+        dB; higher is better. Equal frames have a squared error of 1 in all, not 0: 110 dB at
+        1352x1014.
 
     Raises:
         MetricError: images or mask do not fit each other, or fewer than 64 pixels inside.
@@ -37,19 +43,23 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Co
     Example:
         >>> import numpy as np
         >>> truth = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
-        >>> round(iv_psnr(np.roll(truth, 1, axis=1), truth, colours="ycbcr"), 1)  # of a shift only the border remains
+        >>> round(
+        ...     iv_psnr(np.roll(truth, 1, axis=1), truth, colours="ycbcr"), 1
+        ... )  # of a shift only the border remains
         34.7
 
     Reading:
-        The paper speaks of video, which is YCbCr; frames here are RGB. Taken: the reference software's own conversion to
-        ``YCbCr_BT709`` at full chroma. Frames of floats are rounded to 8 bit, which the definition wants.
+        The paper speaks of video, which is YCbCr; frames here are RGB. Taken: the reference
+        software's own conversion to ``YCbCr_BT709`` at full chroma. Frames of floats are rounded to
+        8 bit, which the definition wants.
     """
     matched, _, n_pixels = _squared_errors(rendered, truth, mask, colours)
     return float((_decibels(matched, n_pixels) @ WEIGHTS).min())
 
 
 def psnr_ycbcr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """PSNR of the YCbCr that `iv_psnr` is of, with its weights: what it would be if it forgave nothing.
+    """PSNR of the YCbCr that `iv_psnr` is of, with its weights: what it would be if it forgave
+    nothing.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1], RGB.
@@ -57,7 +67,8 @@ def psnr_ycbcr(rendered: Image, truth: Image, mask: Mask | None = None) -> float
         mask: (H, W), which pixels count; None for all.
 
     Returns:
-        Mean of the PSNRs of Y, Cb and Cr with weights 4:1:1, dB; some 2 to 4 dB above that of RGB, as chroma errs less.
+        Mean of the PSNRs of Y, Cb and Cr with weights 4:1:1, dB; some 2 to 4 dB above that of RGB,
+        as chroma errs less.
 
     Raises:
         MetricError: as of `iv_psnr`.
@@ -75,7 +86,9 @@ def psnr_ycbcr(rendered: Image, truth: Image, mask: Mask | None = None) -> float
 def _squared_errors(
     rendered: Image, truth: Image, mask: Mask | None, colours: Colours
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Sums (2, 3) of the errors to the best pixels, both directions, those (3,) to the pixels' own places; number of pixels."""
+    """Sums (2, 3) of the errors to the best pixels, both directions, those (3,) to the pixels' own
+    places; number of pixels.
+    """
     from ggvs_eval.kernels import _iv_psnr
 
     check_pair(rendered, truth)
@@ -84,7 +97,9 @@ def _squared_errors(
     first, second = (np.ascontiguousarray(_eight_bit(image)) for image in (rendered, truth))
     level = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
     region = None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
-    matched, plain, _, n_pixels = _iv_psnr.matched_errors(first, second, region, colours == "rgb", kernels.get_threads(), level)
+    matched, plain, _, n_pixels = _iv_psnr.matched_errors(
+        first, second, region, colours == "rgb", kernels.get_threads(), level
+    )
     return matched, plain, n_pixels
 
 
@@ -108,8 +123,9 @@ IV_PSNR = ViewMetric(
     group=FURTHER,
     decimals=2,
     describe=(
-        "PSNR of YCbCr that tolerates 2 pixels of misregistration and a global colour offset of 3 levels; its margin over "
-        "PSNR_YCbCr is error of these two kinds, and noise matched by the search"
+        "PSNR of YCbCr that tolerates 2 pixels of misregistration and a global colour offset of 3 "
+        "levels; its margin over PSNR_YCbCr is error of these two kinds, and noise matched by the "
+        "search"
     ),
     reference="Dziembowski et al. 2022; ISO/IEC MPEG immersive video",
     inside=lambda pair, mask: iv_psnr(pair.rendered, pair.truth.image, mask),

@@ -1,4 +1,6 @@
-"""Conventions of IV-PSNR, DISTS, FLIP, VMAF and ColorVideoVDP: colour spaces, sizes, viewing conditions, models, averages."""
+"""Conventions of IV-PSNR, DISTS, FLIP, VMAF and ColorVideoVDP: colour spaces, sizes, viewing
+conditions, models, averages.
+"""
 
 from functools import partial
 
@@ -32,7 +34,9 @@ SCRIPT_SIDE_PX = 256
 
 
 def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints as well."""
+    """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program
+    prints as well.
+    """
     from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 
     def of_video(matrix: NDArray[np.float64], headroom: bool, chroma: int) -> FrameMeasure:
@@ -43,8 +47,12 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         OUR_IV_PSNR: iv_psnr,
         "YCbCr of BT.601 without headroom, full chroma": of_video(BT601, headroom=False, chroma=1),
         "YCbCr of BT.709 in 16..235, full chroma": of_video(BT709, headroom=True, chroma=1),
-        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video(BT709, headroom=True, chroma=2),
-        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video(BT601, headroom=True, chroma=2),
+        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video(
+            BT709, headroom=True, chroma=2
+        ),
+        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video(
+            BT601, headroom=True, chroma=2
+        ),
         "PSNR of YCbCr 4:1:1, BT.709, without tolerance": psnr_ycbcr,
     }
     return frame_means(views, measures, OUR_IV_PSNR)
@@ -59,8 +67,16 @@ def _ycbcr(image: Image8, matrix: NDArray[np.float64], headroom: bool, chroma: i
 
 def _coarse(plane: NDArray[np.float64], side: int) -> NDArray[np.float64]:
     height, width = plane.shape
-    small = cv2.resize(plane, (max(width // side, 1), max(height // side, 1)), interpolation=cv2.INTER_AREA)
-    return plane if side == 1 else np.asarray(cv2.resize(np.rint(small), (width, height), interpolation=cv2.INTER_NEAREST))
+    small = cv2.resize(
+        plane, (max(width // side, 1), max(height // side, 1)), interpolation=cv2.INTER_AREA
+    )
+    return (
+        plane
+        if side == 1
+        else np.asarray(
+            cv2.resize(np.rint(small), (width, height), interpolation=cv2.INTER_NEAREST)
+        )
+    )
 
 
 def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
@@ -69,14 +85,18 @@ def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
     measures: dict[str, FrameMeasure] = {
         OUR_DISTS: dists,
-        "frames shrunk to 256 pixels at the shorter side (authors' script)": prepared(dists, both(_shrunk)),
+        "frames shrunk to 256 pixels at the shorter side (authors' script)": prepared(
+            dists, both(_shrunk)
+        ),
         "both at half size": prepared(dists, HALVED),
     }
     return frame_means(views, measures, OUR_DISTS)
 
 
 def _shrunk(image: Image8) -> Image8:
-    """Return the frame as Pillow shrinks it, bilinear, where its shorter side is longer than that of the script."""
+    """Return the frame as Pillow shrinks it, bilinear, where its shorter side is longer than that
+    of the script.
+    """
     from PIL import Image
 
     height, width = image.shape[:2]
@@ -84,7 +104,9 @@ def _shrunk(image: Image8) -> Image8:
     if factor >= 1:
         return image
     size = int(width * factor), int(height * factor)
-    return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR), dtype=np.uint8)
+    return np.asarray(
+        Image.fromarray(image).resize(size, Image.Resampling.BILINEAR), dtype=np.uint8
+    )
 
 
 def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
@@ -103,7 +125,9 @@ def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 
 def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """VMAF of each model that this ffmpeg has and either matrix, its frames averaged in three ways."""
+    """VMAF of each model that this ffmpeg has and either matrix, its frames averaged in
+    three ways.
+    """
     from ggvs_eval.contrib.more_metrics.vmaf import MODEL, MODEL_V1, vmaf
 
     averages = (
@@ -115,7 +139,10 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     for model in (MODEL, f"{MODEL}neg", MODEL_V1):
         for matrix in ("bt709", "bt601"):
             try:
-                values = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
+                values = {
+                    name: np.array(vmaf(view_pairs(view), model, matrix))
+                    for name, view in views.items()
+                }
             except MetricError:
                 if model == MODEL:
                     raise
@@ -129,10 +156,17 @@ def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     from ggvs_eval.contrib.more_metrics.colour_video_vdp import colour_video_vdp
 
     series: dict[str, dict[str, Values]] = {}
-    for display, rate in (("standard_4k", 30), ("standard_fhd", 30), ("standard_4k", 24), ("standard_4k", 60)):
+    for display, rate in (
+        ("standard_4k", 30),
+        ("standard_fhd", 30),
+        ("standard_4k", 24),
+        ("standard_4k", 60),
+    ):
         name = f"{display}, {rate} frames per second"
         series[name] = {
-            view: np.array([colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate)])
+            view: np.array(
+                [colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate)]
+            )
             for view, frames in views.items()
         }
     return conventions(series, own_name=OUR_VDP)

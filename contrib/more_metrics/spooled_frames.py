@@ -11,7 +11,9 @@ from ggvs_eval.errors import MetricError
 
 
 class SpooledFrames:
-    """Two videos of raw RGB, written frame by frame: memory is bounded, regardless of the length; 8 MB a pair at 1352x1014.
+    """Two videos of raw RGB, written frame by frame: memory is bounded, regardless of the length.
+
+    8 MB a pair at 1352x1014.
 
     Example:
         >>> import numpy as np
@@ -24,14 +26,19 @@ class SpooledFrames:
 
     def __init__(self) -> None:
         self._folder = TemporaryDirectory(prefix="ggvs-eval-frames-")
-        self.rendered, self.truth = (Path(self._folder.name) / name for name in ("rendered.rgb", "truth.rgb"))
+        self.rendered, self.truth = (
+            Path(self._folder.name) / name for name in ("rendered.rgb", "truth.rgb")
+        )
         self.shape: tuple[int, ...] = ()
         self.count = 0
 
     def add(self, rendered: Image8, truth: Image8) -> None:
         """Write the next frame of both, (H, W, 3) uint8."""
         if self.count and truth.shape != self.shape:
-            raise MetricError(f"frame {self.count} is {truth.shape}, the frames before are {self.shape}; a view has one size")
+            raise MetricError(
+                f"frame {self.count} is {truth.shape}, the frames before are {self.shape}; a view "
+                f"has one size"
+            )
         for file, image in ((self.rendered, rendered), (self.truth, truth)):
             with file.open("ab") as video:
                 video.write(np.ascontiguousarray(image, dtype=np.uint8).tobytes())
@@ -41,7 +48,9 @@ class SpooledFrames:
     def videos(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Rendered and captured frames, (T, H, W, 3), read from disk where they are looked at."""
         shape = (self.count, *self.shape)
-        first, second = (np.memmap(file, np.uint8, "r", shape=shape) for file in (self.rendered, self.truth))
+        first, second = (
+            np.memmap(file, np.uint8, "r", shape=shape) for file in (self.rendered, self.truth)
+        )
         return first, second
 
     def __enter__(self) -> "SpooledFrames":

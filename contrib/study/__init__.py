@@ -1,1 +1,3 @@
-"""Metric study: degradations of known strength planted in true frames, and how every metric answers them."""
+"""Metric study: degradations of known strength planted in true frames, and how every metric answers
+them.
+"""

@@ -1,4 +1,6 @@
-"""Clips that degradations are planted in: true frames of a view or a camera path, with the sources that could render them."""
+"""Clips that degradations are planted in: true frames of a view or a camera path, with the sources
+that could render them.
+"""
 
 import json
 from collections.abc import Iterator
@@ -40,8 +42,10 @@ class Clip:
     Attributes:
         truth: (T, H, W, 3).
         cameras: the one that films, or one for each frame where it moves; none if unknown.
-        depths: true view's depth at each frame of a moving camera, (T, H, W), world units, 0 = unknown; None where unknown.
-        sources: cameras that the view can be rendered from, nearest first; none if their depth is unknown.
+        depths: true view's depth at each frame of a moving camera, (T, H, W), world units, 0 =
+            unknown; None where unknown.
+        sources: cameras that the view can be rendered from, nearest first; none if their depth is
+            unknown.
         rendering: what degradations are planted in, (T, H, W, 3); the truth where None.
     """
 
@@ -68,7 +72,9 @@ class Clip:
         return self.cameras[frame if self.moves else 0]
 
     def view_angles_deg(self) -> Array:
-        """Angle at each frame between the directions in which the scene's middle sees the camera, then and at first, (T,)."""
+        """Angle at each frame between the directions in which the scene's middle sees the camera,
+        then and at first, (T,).
+        """
         if not self.moves or self.depths is None:
             return np.zeros(len(self.truth))
         middle = self.cameras[len(self.cameras) // 2]
@@ -81,7 +87,9 @@ class Clip:
 
 @dataclass(frozen=True)
 class Take:
-    """Views filmed together: what one number of a metric of a rig is made of; a folder of clips on disk.
+    """Views filmed together: what one number of a metric of a rig is made of.
+
+    A folder of clips on disk.
 
     Attributes:
         folder: holds a file for each clip.
@@ -97,7 +105,9 @@ class Take:
         """Open the clips of `write_take`."""
         files = sorted(folder.glob("*.npz"))
         if not files:
-            raise CaptureError(f"{folder}: wanted clips of a metric study, got none; choose a new folder")
+            raise CaptureError(
+                f"{folder}: wanted clips of a metric study, got none; choose a new folder"
+            )
         return cls(folder, name, digest_files(files))
 
     def clips(self) -> Iterator[Clip]:
@@ -112,11 +122,15 @@ def write_take(folder: Path, clips: list[Clip]) -> None:
         record = {
             "name": clip.name,
             "cameras": [camera.to_json() for camera in clip.cameras],
-            "sources": [source.camera.to_json() | {"name": source.camera.name} for source in sources],
+            "sources": [
+                source.camera.to_json() | {"name": source.camera.name} for source in sources
+            ],
             "units_per_metre": clip.units_per_metre,
         }
         optional = {"depths": clip.depths, "rendering": clip.rendering}
-        arrays: dict[str, Any] = {"truth": clip.truth} | {key: array for key, array in optional.items() if array is not None}
+        arrays: dict[str, Any] = {"truth": clip.truth} | {
+            key: array for key, array in optional.items() if array is not None
+        }
         for index, source in enumerate(sources):
             arrays |= {
                 f"images{index}": source.images,
@@ -134,17 +148,29 @@ def _read_clip(file: Path) -> Clip:
         record = json.loads(str(arrays["record"]))
     except (OSError, ValueError, EOFError, KeyError) as error:
         raise CaptureError(
-            f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the study again"
+            f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the "
+            f"study again"
         ) from error
-    cameras = tuple(Camera.from_json(f"{record['name']}.{index}", values) for index, values in enumerate(record["cameras"]))
+    cameras = tuple(
+        Camera.from_json(f"{record['name']}.{index}", values)
+        for index, values in enumerate(record["cameras"])
+    )
     sources = tuple(
         SourceClip(
-            Camera.from_json(values.pop("name"), values),
-            arrays[f"images{index}"],
-            arrays[f"depths{index}"],
-            arrays[f"confidences{index}"],
+            camera=Camera.from_json(values.pop("name"), values),
+            images=arrays[f"images{index}"],
+            depths=arrays[f"depths{index}"],
+            confidences=arrays[f"confidences{index}"],
         )
         for index, values in enumerate(record["sources"])
     )
     depths, rendering = arrays.get("depths"), arrays.get("rendering")
-    return Clip(record["name"], arrays["truth"], cameras, depths, sources, record["units_per_metre"], rendering)
+    return Clip(
+        name=record["name"],
+        truth=arrays["truth"],
+        cameras=cameras,
+        depths=depths,
+        sources=sources,
+        units_per_metre=record["units_per_metre"],
+        rendering=rendering,
+    )

@@ -8,10 +8,16 @@ import tyro
 from ggvs_eval.pipelines.commands.flags import ONE_PER_CORE, Jobs, Output
 
 Captures = Annotated[
-    tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE|VIDEOS|VIDEO ...", help_behavior_hint="(default: the demo)")
+    tuple[Path, ...],
+    tyro.conf.arg(metavar="CAPTURE|VIDEOS|VIDEO ...", help_behavior_hint="(default: the demo)"),
 ]
-Metrics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: those that cost little)")]
-Ladders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="LADDER ...", help_behavior_hint="(default: all)")]
+Metrics = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: those that cost little)"),
+]
+Ladders = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="LADDER ...", help_behavior_hint="(default: all)")
+]
 
 
 def metric_study(
@@ -33,8 +39,8 @@ def metric_study(
         out: folder to create or resume.
         capture: captures, folders of videos or of pictures, or videos.
         metrics: metric names, or all.
-        ladders: degradations: blur, noise, shift, colour, compression, flicker, drift, frozen, late, wobble, switch, jump,
-            boiling.
+        ladders: degradations: blur, noise, shift, colour, compression, flicker, drift, frozen,
+            late, wobble, switch, jump, boiling.
         frames: frames per clip, and poses per stretch of a camera path.
         size: shorter side of the images, pixels.
         on: degraded images: captured frames (truth), or a method's rendering of them.
@@ -47,7 +53,14 @@ def metric_study(
     from ggvs_eval.contrib.study.takes import StudyOptions
     from ggvs_eval.files.atomic import write_text
 
-    study = run_study(out, capture, StudyOptions(metrics, ladders, seeds, frames, size, on), jobs)
+    study = run_study(
+        out,
+        capture,
+        StudyOptions(
+            metrics=metrics, ladders=ladders, seeds=seeds, frames=frames, size=size, on=on
+        ),
+        jobs,
+    )
     write_text(out / "study.md", study_text(study))
     print(verdict_table([study]))
     if absent := absence_list(study):

@@ -1,4 +1,6 @@
-"""The ladders of the study: each a degradation, its unit, and the strengths at which it is planted."""
+"""The ladders of the study: each a degradation, its unit, and the strengths at which it is
+planted.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +25,8 @@ class Ladder:
         describe: what is done, in a few words.
         module: that its code is in.
         wants_path: planted along a camera path alone.
-        is_rendered: the undegraded clip is what the method renders of undisturbed inputs, regardless of what else is planted in.
+        is_rendered: the undegraded clip is what the method renders of undisturbed inputs,
+            regardless of what else is planted in.
     """
 
     name: str
@@ -49,7 +52,11 @@ class Ladder:
             return "the depth along the path is unknown"
         least = rendered_ladders.SWITCHED if self.wants_path else 1
         if self.is_rendered and len(clip.sources) < least:
-            return f"no {least} source cameras with depth" if least > 1 else "no source camera with depth"
+            return (
+                f"no {least} source cameras with depth"
+                if least > 1
+                else "no source camera with depth"
+            )
         return ""
 
 
@@ -62,45 +69,104 @@ def _wobble(clip: Clip, amplitude_px: float, seed: int) -> Image8:
 
 
 _ALL = (
-    Ladder("blur", "px", (0.4, 0.6, 0.9, 1.4, 2.1), _of_frames(frame_ladders.blur), "Gaussian blur"),
-    Ladder("noise", "grey levels", (0.5, 1, 2, 4, 8), _of_frames(frame_ladders.noise), "white noise, new in every frame"),
-    Ladder("shift", "px", (0.05, 0.1, 0.2, 0.4, 0.8), _of_frames(frame_ladders.shift), "all frames displaced alike"),
-    Ladder("colour", "%", (1, 2, 4, 8, 12), _of_frames(frame_ladders.colour_cast), "white balance, each view its own"),
-    Ladder("compression", "CRF", (18, 23, 28, 33, 38), _of_frames(frame_ladders.compress), "H.264 by x264"),
-    Ladder("flicker", "%", (1, 2, 3, 4, 5), _of_frames(frame_ladders.flicker), "a gain for every frame"),
-    Ladder("drift", "%", (1, 2, 4, 8, 16), _of_frames(frame_ladders.drift), "slowly brighter over the clip"),
-    Ladder("frozen", "% of frames", (20, 40, 60, 80, 100), _of_frames(frame_ladders.freeze), "frames that repeat the one before"),
-    Ladder("late", "frames", (1, 2, 3, 4, 6), _of_frames(frame_ladders.delay), "all frames late"),
     Ladder(
-        "wobble", "px", (0.1, 0.2, 0.4, 0.8, 1.6), _wobble, "displacement that changes with the angle of view", wants_path=True
+        name="blur",
+        unit="px",
+        strengths=(0.4, 0.6, 0.9, 1.4, 2.1),
+        plant=_of_frames(frame_ladders.blur),
+        describe="Gaussian blur",
     ),
     Ladder(
-        "switch",
-        "switches",
-        (1, 2, 3, 5, 7),
-        rendered_ladders.switch_sources,
-        "source cameras exchanged along a path",
-        rendered_ladders.__name__,
+        name="noise",
+        unit="grey levels",
+        strengths=(0.5, 1, 2, 4, 8),
+        plant=_of_frames(frame_ladders.noise),
+        describe="white noise, new in every frame",
+    ),
+    Ladder(
+        name="shift",
+        unit="px",
+        strengths=(0.05, 0.1, 0.2, 0.4, 0.8),
+        plant=_of_frames(frame_ladders.shift),
+        describe="all frames displaced alike",
+    ),
+    Ladder(
+        name="colour",
+        unit="%",
+        strengths=(1, 2, 4, 8, 12),
+        plant=_of_frames(frame_ladders.colour_cast),
+        describe="white balance, each view its own",
+    ),
+    Ladder(
+        name="compression",
+        unit="CRF",
+        strengths=(18, 23, 28, 33, 38),
+        plant=_of_frames(frame_ladders.compress),
+        describe="H.264 by x264",
+    ),
+    Ladder(
+        name="flicker",
+        unit="%",
+        strengths=(1, 2, 3, 4, 5),
+        plant=_of_frames(frame_ladders.flicker),
+        describe="a gain for every frame",
+    ),
+    Ladder(
+        name="drift",
+        unit="%",
+        strengths=(1, 2, 4, 8, 16),
+        plant=_of_frames(frame_ladders.drift),
+        describe="slowly brighter over the clip",
+    ),
+    Ladder(
+        name="frozen",
+        unit="% of frames",
+        strengths=(20, 40, 60, 80, 100),
+        plant=_of_frames(frame_ladders.freeze),
+        describe="frames that repeat the one before",
+    ),
+    Ladder(
+        name="late",
+        unit="frames",
+        strengths=(1, 2, 3, 4, 6),
+        plant=_of_frames(frame_ladders.delay),
+        describe="all frames late",
+    ),
+    Ladder(
+        name="wobble",
+        unit="px",
+        strengths=(0.1, 0.2, 0.4, 0.8, 1.6),
+        plant=_wobble,
+        describe="displacement that changes with the angle of view",
+        wants_path=True,
+    ),
+    Ladder(
+        name="switch",
+        unit="switches",
+        strengths=(1, 2, 3, 5, 7),
+        plant=rendered_ladders.switch_sources,
+        describe="source cameras exchanged along a path",
+        module=rendered_ladders.__name__,
         wants_path=True,
         is_rendered=True,
     ),
     Ladder(
-        "jump",
-        "% brighter",
-        (1, 2, 4, 8, 16),
-        rendered_ladders.switch_brightness,
-        "three exchanges along a path, between cameras of unlike brightness",
-        rendered_ladders.__name__,
+        name="jump",
+        unit="% brighter",
+        strengths=(1, 2, 4, 8, 16),
+        plant=rendered_ladders.switch_brightness,
+        describe="three exchanges along a path, between cameras of unlike brightness",
+        module=rendered_ladders.__name__,
         wants_path=True,
         is_rendered=True,
     ),
     Ladder(
-        "boiling",
-        "% of depth",
-        (0.25, 0.5, 1, 2, 4),
-        rendered_ladders.boil,
-        "noise of depth, new in every frame, rendered",
-        rendered_ladders.__name__,
+        name="boiling",
+        unit="% of depth",
+        strengths=(0.25, 0.5, 1, 2, 4),
+        plant=rendered_ladders.boil,
+        describe="noise of depth, new in every frame, rendered",
+        module=rendered_ladders.__name__,
         is_rendered=True,
     ),
 )
@@ -111,5 +177,7 @@ def select_ladders(names: tuple[str, ...]) -> tuple[Ladder, ...]:
     """Return the ladders of these names; all where none is named."""
     for name in names:
         if name not in LADDERS:
-            raise MetricError(f"no ladder {name!r}{did_you_mean(name, LADDERS)}; all are {', '.join(LADDERS)}")
+            raise MetricError(
+                f"no ladder {name!r}{did_you_mean(name, LADDERS)}; all are {', '.join(LADDERS)}"
+            )
     return tuple(LADDERS[name] for name in dict.fromkeys(names)) or _ALL

@@ -1,4 +1,6 @@
-"""Measure one series: a take under one ladder and seed, at every strength, by every metric that is asked for."""
+"""Measure one series: a take under one ladder and seed, at every strength, by every metric that is
+asked for.
+"""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
@@ -23,10 +25,19 @@ from ggvs_eval.pipelines.run.score_path import PATH_SCORES
 from ggvs_eval.tasks.identity import code_of
 from ggvs_eval.tasks.task import Task
 
-# 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
-# where they are of single frames every `EVERY`th of them.
+# 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the
+# first view of a take, and where they are of single frames every `EVERY`th of them.
 COSTLY = frozenset(
-    {"LPIPS", "LPIPS_cc", "DISTS", "FLIP", "CVVDP", "COLMAP_registered", "COLMAP_track_length", "COLMAP_matches"}
+    {
+        "LPIPS",
+        "LPIPS_cc",
+        "DISTS",
+        "FLIP",
+        "CVVDP",
+        "COLMAP_registered",
+        "COLMAP_track_length",
+        "COLMAP_matches",
+    }
     | {"SGC_rotation", "SGC_translation"}
 )
 EVERY = 6
@@ -47,7 +58,8 @@ def absent_kinds(metrics: Sequence[str]) -> Reasons:
 
 
 def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the metrics of a study: those that are not costly by default, ``all``, or those that are named.
+    """Return the names of the metrics of a study: those that are not costly by default, ``all``, or
+    those that are named.
 
     Parts of an image (``PSNR_static``, ...) are measured where they are named.
     """
@@ -56,10 +68,14 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     if named and ALL not in names:
         return tuple(named)
     usual = [name for name, metric in METRICS.built_in().items() if metric.group != REGION]
-    return tuple(dict.fromkeys([*(name for name in usual if ALL in names or name not in COSTLY), *named]))
+    return tuple(
+        dict.fromkeys([*(name for name in usual if ALL in names or name not in COSTLY), *named])
+    )
 
 
-def series_tasks(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]) -> list[Task]:
+def series_tasks(
+    out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]
+) -> list[Task]:
     """Return what measures one series, a task per metric; they are done together.
 
     Args:
@@ -86,39 +102,60 @@ def series_tasks(out: Path, take: Take, ladder: Ladder | None, seed: int, metric
 
 
 def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
-    """Return the strengths that a series measures: ladders of frames have their undegraded frames in common."""
+    """Return the strengths that a series measures: ladders of frames have their undegraded frames
+    in common.
+    """
     if ladder is None:
         return (0.0,)
     return (0.0, *ladder.strengths) if ladder.is_rendered else ladder.strengths
 
 
 def _code(metric: Metric) -> str:
-    """Return the hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts alone."""
+    """Return the hash of the code that measures a metric.
+
+    Of a path, one pass measures all that it has, and each counts alone.
+    """
     if isinstance(metric, PathMetric):
         return code_of(PATH_SCORES, RenderedPath.__module__, *metric.modules)
     return metric_code(metric)
 
 
-def _measure(take: Take, ladder: Ladder | None, seed: int, tasks: Sequence[Task]) -> Iterator[tuple[Task, dict[str, Any]]]:
+def _measure(
+    take: Take, ladder: Ladder | None, seed: int, tasks: Sequence[Task]
+) -> Iterator[tuple[Task, dict[str, Any]]]:
     metrics = tuple(task.folder.name for task in tasks)
     levels = [_at(take, ladder, strength, seed, metrics) for strength in strengths_of(ladder)]
     for task, metric in zip(tasks, metrics, strict=True):
         values = [numbers.get(metric) for numbers, _ in levels]
-        yield task, {"values": values, "not_computed": [reasons.get(metric) for _, reasons in levels]}
+        yield (
+            task,
+            {"values": values, "not_computed": [reasons.get(metric) for _, reasons in levels]},
+        )
 
 
-def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]) -> tuple[Numbers, Reasons]:
+def _at(
+    take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]
+) -> tuple[Numbers, Reasons]:
     clips = list(take.clips())
     # Each view has its own seed, of the parity of the clip's.
-    frames = [ladder.frames(clip, strength, seed + 1000 * view) if ladder else clip.undegraded for view, clip in enumerate(clips)]
+    frames = [
+        ladder.frames(clip, strength, seed + 1000 * view) if ladder else clip.undegraded
+        for view, clip in enumerate(clips)
+    ]
     numbers, reasons = measure_views(clips, frames, metrics)
     paths, absent = _measure_paths(clips, frames, metrics, _sources(ladder, clips, strength, seed))
     return numbers | paths, reasons | absent | absent_kinds(metrics)
 
 
-def measure_views(clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Sequence[str]) -> tuple[Numbers, Reasons]:
-    """Measure the frames of some views against the true ones: each metric's number on them, or the reason for its absence."""
-    selection = [metric for metric in select_metrics(metrics) if isinstance(metric, ViewMetric | TableMetric)]
+def measure_views(
+    clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Sequence[str]
+) -> tuple[Numbers, Reasons]:
+    """Measure the frames of some views against the true ones: each metric's number on them, or the
+    reason for its absence.
+    """
+    selection = [
+        metric for metric in select_metrics(metrics) if isinstance(metric, ViewMetric | TableMetric)
+    ]
     usual = [metric.name for metric in selection if metric.name not in COSTLY]
     parts = [metric.part for metric in selection if isinstance(metric, TableMetric)]
     tables: dict[str, dict[str, dict[int, float]]] = {}
@@ -138,32 +175,45 @@ def measure_views(clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Se
             if (pooled := _number(metric, values)) is not None:
                 numbers.setdefault(metric.name, []).append(pooled)
         reasons |= {name: why for name, why in absent.items() if name in metrics}
-    rows, absent = derived_rows([metric for metric in selection if metric.kind == "rig"], tables, MetricOptions())
+    rows, absent = derived_rows(
+        [metric for metric in selection if metric.kind == "rig"], tables, MetricOptions()
+    )
     pooled_numbers = {name: float(np.mean(values)) for name, values in numbers.items()}
-    of_rig = {name: float(np.mean([value for _, _, value in of_metric])) for name, of_metric in rows.items()}
+    of_rig = {
+        name: float(np.mean([value for _, _, value in of_metric]))
+        for name, of_metric in rows.items()
+    }
     return pooled_numbers | of_rig, reasons | absent
 
 
-def _measure_view(truth: Image8, rendered: Image8, names: Collection[str]) -> tuple[list[Value], Reasons]:
+def _measure_view(
+    truth: Image8, rendered: Image8, names: Collection[str]
+) -> tuple[list[Value], Reasons]:
     names = tuple(names)
     if not names:
         return [], {}
     colours = None
     if any(metric.corrects_colours for metric in scored_by_view(names)):
-        (colours,) = fit_colour_maps(((frame,), true) for frame, true in zip(rendered, truth, strict=True))
+        (colours,) = fit_colour_maps(
+            ((frame,), true) for frame, true in zip(rendered, truth, strict=True)
+        )
     scores = score_view(zip(rendered, truth, strict=True), names, colour_map=colours)
     return scores.values, scores.not_computed
 
 
 def _number(metric: Metric, values: Iterable[Value]) -> float | None:
-    """Return a metric's number on one view: what its scorer says of the whole view, or what its frames pool to."""
+    """Return a metric's number on one view: what its scorer says of the whole view, or what its
+    frames pool to.
+    """
     by_name: dict[str, list[float]] = {}
     for name, frame, value in values:
         if name == metric.name and frame is None:
             return value
         by_name.setdefault(name, []).append(value)
     pooling = metric.pooling(MetricOptions())
-    parts = [np.array([by_name[name]]) for name in pooling.parts or (metric.name,) if name in by_name]
+    parts = [
+        np.array([by_name[name]]) for name in pooling.parts or (metric.name,) if name in by_name
+    ]
     if metric.kind == "rig" or len(parts) < len(pooling.parts or (metric.name,)):
         return None
     frames = parts[0].shape[1]
@@ -171,7 +221,10 @@ def _number(metric: Metric, values: Iterable[Value]) -> float | None:
 
 
 def _measure_paths(
-    clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Sequence[str], sources: Sequence[Sequence[tuple[str, ...]]]
+    clips: Sequence[Clip],
+    rendered: Sequence[Image8],
+    metrics: Sequence[str],
+    sources: Sequence[Sequence[tuple[str, ...]]],
 ) -> tuple[Numbers, Reasons]:
     names = [metric.name for metric in select_metrics(metrics) if isinstance(metric, PathMetric)]
     moving = [clip.moves for clip in clips]
@@ -185,17 +238,27 @@ def _measure_paths(
         values += [value for value in scores.values if value[1] is None and value[0] in names]
         reasons |= {name: why for name, why in scores.not_computed.items() if name in names}
     numbers = {name: [value for metric, _, value in values if metric == name] for name in names}
-    return {name: float(np.mean(of_paths)) for name, of_paths in numbers.items() if of_paths}, reasons
+    return {
+        name: float(np.mean(of_paths)) for name, of_paths in numbers.items() if of_paths
+    }, reasons
 
 
-def _sources(ladder: Ladder | None, clips: Sequence[Clip], strength: float, seed: int) -> list[list[tuple[str, ...]]]:
+def _sources(
+    ladder: Ladder | None, clips: Sequence[Clip], strength: float, seed: int
+) -> list[list[tuple[str, ...]]]:
     """Return the names of the cameras that each frame of each clip is made of."""
     switches = {"switch": strength, "jump": EXCHANGES}.get(ladder.name if ladder else "")
     if switches is None:
-        return [[tuple(source.camera.name for source in clip.sources)] * len(clip.truth) for clip in clips]
+        return [
+            [tuple(source.camera.name for source in clip.sources)] * len(clip.truth)
+            for clip in clips
+        ]
     return [
         [
-            tuple(source.camera.name for source in sources_at(clip, frame, switches, seed + 1000 * view))
+            tuple(
+                source.camera.name
+                for source in sources_at(clip, frame, switches, seed + 1000 * view)
+            )
             for frame in range(len(clip.truth))
         ]
         for view, clip in enumerate(clips)

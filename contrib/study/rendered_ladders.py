@@ -1,6 +1,7 @@
 """Degradations of the input of rendering: depth that boils, and source cameras that are exchanged.
 
-The online method renders the clip, without its network; what it makes of undisturbed inputs is the undegraded clip.
+The online method renders the clip, without its network; what it makes of undisturbed inputs is the
+undegraded clip.
 """
 
 from collections.abc import Sequence
@@ -27,32 +28,42 @@ def render(clip: Clip) -> Image8:
 
 
 def boil(clip: Clip, percent: float, seed: int = 0) -> Image8:
-    """Return the rendering with depth that boils: z (1 + s n), s = `percent`, in every source and frame anew.
+    """Return the rendering with depth that boils: z (1 + s n), s = `percent`, in every source and
+    frame anew.
 
-    n is white Gaussian noise smoothed by a Gaussian of `GRAIN_PX` and scaled back to unit variance, so that surfaces boil in
-    patches, as matched depth does.
+    n is white Gaussian noise smoothed by a Gaussian of `GRAIN_PX` and scaled back to unit variance,
+    so that surfaces boil in patches, as matched depth does.
     """
     random = np.random.default_rng(seed)
 
     def view(source: SourceClip, frame: int) -> SourceView:
         still = _view(source, frame)
-        return replace(still, depth=still.depth * (1 + np.float32(percent / 100) * _grain(random, still.depth.shape)))
+        return replace(
+            still,
+            depth=still.depth * (1 + np.float32(percent / 100) * _grain(random, still.depth.shape)),
+        )
 
-    return _render(clip, [[view(source, frame) for source in clip.sources] for frame in range(len(clip.truth))])
+    return _render(
+        clip, [[view(source, frame) for source in clip.sources] for frame in range(len(clip.truth))]
+    )
 
 
 def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
-    """Return the rendering along a camera path with N exchanges of all source cameras, evenly spaced.
+    """Return the rendering along a camera path with N exchanges of all source cameras, evenly
+    spaced.
 
-    Two pairs of the four nearest cameras take turns, the first with the last and the two between, so that neither pair is
-    nearer to the path; the parity of the seed says which begins.
+    Two pairs of the four nearest cameras take turns, the first with the last and the two between,
+    so that neither pair is nearer to the path; the parity of the seed says which begins.
     """
     pairs = [sources_at(clip, frame, switches, seed) for frame in range(len(clip.truth))]
-    return _render(clip, [[_view(source, frame) for source in pair] for frame, pair in enumerate(pairs)])
+    return _render(
+        clip, [[_view(source, frame) for source in pair] for frame, pair in enumerate(pairs)]
+    )
 
 
 def switch_brightness(clip: Clip, percent: float, seed: int = 0) -> Image8:
-    """Rendering along a camera path with `EXCHANGES` exchanges, between one pair of cameras and one that is `percent` brighter.
+    """Rendering along a camera path with `EXCHANGES` exchanges, between one pair of cameras and one
+    that is `percent` brighter.
 
     Colours of the cameras are not compensated, as the online method would do.
     """
@@ -79,22 +90,37 @@ def sources_at(clip: Clip, frame: int, switches: float, seed: int) -> tuple[Sour
 def require_sources(clip: Clip, count: int) -> Clip:
     """Return the clip if it has N source cameras."""
     if len(clip.sources) < count:
-        raise RenderError(f"view {clip.name}: wanted {count} source cameras with depth to render from, got {len(clip.sources)}")
+        raise RenderError(
+            f"view {clip.name}: wanted {count} source cameras with depth to render from, got "
+            f"{len(clip.sources)}"
+        )
     return clip
 
 
-def _render(clip: Clip, views: Sequence[Sequence[SourceView]], options: OnlineOptions | None = None) -> Image8:
+def _render(
+    clip: Clip, views: Sequence[Sequence[SourceView]], options: OnlineOptions | None = None
+) -> Image8:
     method = GeometryGuided(options)
     rendered = []
     for frame, sources in enumerate(views):
-        instant = Instant(frame, clip.camera(frame), tuple(sources), clip.units_per_metre)
+        instant = Instant(
+            index=frame,
+            target=clip.camera(frame),
+            sources=tuple(sources),
+            units_per_metre=clip.units_per_metre,
+        )
         rendered.append(quantise(method.step(instant).image))
     return np.stack(rendered)
 
 
 def _view(source: SourceClip, frame: int) -> SourceView:
     at = min(frame, len(source.images) - 1)
-    return SourceView(source.camera, source.images[at], source.depths[at], source.confidences[at])
+    return SourceView(
+        camera=source.camera,
+        image=source.images[at],
+        depth=source.depths[at],
+        confidence=source.confidences[at],
+    )
 
 
 def _grain(random: np.random.Generator, shape: tuple[int, ...]) -> Map:

@@ -1,4 +1,6 @@
-"""The metric study from top to bottom: takes of captures, every series measured, and the answer of each metric to each ladder."""
+"""The metric study from top to bottom: takes of captures, every series measured, and the answer of
+each metric to each ladder.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -23,8 +25,12 @@ STUDY_FILE, VALUES_FILE = "study.json", "values.csv"
 COLUMNS = ("capture", "take", "seed", "ladder", "strength", "metric", "value")
 
 
-def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers = 1) -> dict[str, Any]:
-    """Plant degradations in clips, measure them, and write ``values.csv`` and ``study.json``; what is measured stays.
+def run_study(
+    out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers = 1
+) -> dict[str, Any]:
+    """Plant degradations in clips, measure them, and write ``values.csv`` and ``study.json``.
+
+    What is measured stays.
 
     Args:
         captures: see `make_takes`.
@@ -60,7 +66,9 @@ Place = tuple[str, str, int]  # ladder, take, seed
 def _plan(
     out: Path, takes: Sequence[Take], ladders: Sequence[Ladder], metrics: Sequence[str], seeds: int
 ) -> tuple[dict[str, list[Task]], dict[Place, list[Task]], dict[str, str]]:
-    """Return the tasks of the undegraded takes and of all series, and why ladders are planted in none."""
+    """Return the tasks of the undegraded takes and of all series, and why ladders are planted in
+    none.
+    """
     undegraded = {take.name: series_tasks(out, take, None, 0, metrics) for take in takes}
     series: dict[Place, list[Task]] = {}
     refusals: dict[str, str] = {}
@@ -72,7 +80,9 @@ def _plan(
                 continue
             for repeat in range(seeds):
                 seed = number + repeat * len(takes)
-                series[ladder.name, take.name, seed] = series_tasks(out, take, ladder, seed, metrics)
+                series[ladder.name, take.name, seed] = series_tasks(
+                    out, take, ladder, seed, metrics
+                )
     planted = {ladder for ladder, _, _ in series}
     return undegraded, series, {name: why for name, why in refusals.items() if name not in planted}
 
@@ -89,7 +99,10 @@ def _values(
         values = {0.0: at_rest[take]} | _levels(tasks, strengths[name])
         capture, _, place = take.partition(", ")
         for strength, of_metrics in values.items():
-            rows += [(capture, place, seed, name, strength, metric, value) for metric, value in of_metrics.items()]
+            rows += [
+                (capture, place, seed, name, strength, metric, value)
+                for metric, value in of_metrics.items()
+            ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -104,21 +117,31 @@ def _levels(tasks: Sequence[Task], strengths: Sequence[float]) -> dict[float, di
     return levels
 
 
-def _answers(table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _answers(
+    table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]
+) -> dict[str, dict[str, Any]]:
     """Answers of each metric to a ladder; takes in which it has a value at every strength count.
 
-    A metric that wants some of the degradation (`switch_ratio` wants a switch) has no value at 0, and answers to the rest.
+    A metric that wants some of the degradation (`switch_ratio` wants a switch) has no value at 0,
+    and answers to the rest.
     """
     answers = {}
     for metric in metrics:
         rows = table[(table["ladder"] == ladder.name) & (table["metric"] == metric)]
         sign = -1.0 if METRICS[metric].higher_is_better else 1.0
-        by_strength = sign * rows.pivot_table(index=["capture", "take", "seed"], columns="strength", values="value").dropna()
+        by_strength = (
+            sign
+            * rows.pivot_table(
+                index=["capture", "take", "seed"], columns="strength", values="value"
+            ).dropna()
+        )
         strengths = [float(strength) for strength in by_strength.columns]
         if by_strength.empty or len(strengths) < len(ladder.strengths):
             continue
         clips: dict[str, list[list[float]]] = {}
-        for (capture, take, _), values in zip(by_strength.index, by_strength.to_numpy().tolist(), strict=True):
+        for (capture, take, _), values in zip(
+            by_strength.index, by_strength.to_numpy().tolist(), strict=True
+        ):
             clips.setdefault(f"{capture}, {take}", []).append(values)
         result = answer(strengths, clips)
         answers[metric] = asdict(result) | {"verdict": result.verdict}
@@ -132,13 +155,20 @@ def _absences(
     metrics: Sequence[str],
 ) -> dict[str, dict[str, str]]:
     """Ladder -> metric that has no answer to it -> reason."""
-    reasons = {ladder: dict.fromkeys(metrics, refusals.get(ladder, "no number in these clips")) for ladder in answers}
+    reasons = {
+        ladder: dict.fromkeys(metrics, refusals.get(ladder, "no number in these clips"))
+        for ladder in answers
+    }
     for (ladder, _, _), tasks in series.items():
         for task in tasks:
             for reason in filter(None, read_json(task.folder / JOB_FILE)["not_computed"]):
                 reasons[ladder][task.folder.name] = reason
     return {
-        ladder: {metric: why for metric, why in of_ladder.items() if metric in metrics and metric not in answers[ladder]}
+        ladder: {
+            metric: why
+            for metric, why in of_ladder.items()
+            if metric in metrics and metric not in answers[ladder]
+        }
         for ladder, of_ladder in reasons.items()
     }
 
@@ -149,4 +179,9 @@ def _describe(ladder: Ladder) -> dict[str, Any]:
 
 def _direction(name: str) -> dict[str, Any]:
     metric = METRICS[name]
-    return {"higher_is_better": metric.higher_is_better, "unit": metric.unit, "group": metric.group.title, "kind": metric.kind}
+    return {
+        "higher_is_better": metric.higher_is_better,
+        "unit": metric.unit,
+        "group": metric.group.title,
+        "kind": metric.kind,
+    }

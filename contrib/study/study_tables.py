@@ -1,4 +1,6 @@
-"""Tables of a metric study as Markdown: correlations, the least strength that is detected, and the blind spots of each metric."""
+"""Tables of a metric study as Markdown: correlations, the least strength that is detected, and the
+blind spots of each metric.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,38 +12,70 @@ Answer = Mapping[str, Any]
 
 
 def correlation_table(study: Study, metrics: Sequence[str] | None = None) -> str:
-    """Rank correlation of each metric with each degradation, with its interval where that is wider than a hundredth."""
+    """Rank correlation of each metric with each degradation, with its interval where that is wider
+    than a hundredth.
+    """
     return _table(study, metrics, _correlation)
 
 
 def sensitivity_table(study: Study, metrics: Sequence[str] | None = None) -> str:
-    """Return the least strength that each metric distinguishes from the original, with the unit next to the degradation."""
+    """Return the least strength that each metric distinguishes from the original, with the unit
+    next to the degradation.
+    """
     return _table(study, metrics, lambda answer: _number(answer["least_strength"]), with_units=True)
 
 
 def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None) -> str:
-    """Degradations that each metric detects, misses and rewards; a separate column for those on which studies disagree."""
+    """Degradations that each metric detects, misses and rewards.
+
+    A separate column for those on which studies disagree.
+    """
     heads = {"sees": "worse with strength", "blind": "blind to", "rewards": "better with strength"}
-    heads |= {"disputed": "depends on the capture"} if len(studies) > 1 else {"unclear": "one clip: unclear"}
-    verdicts = [(metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)]
-    columns = [head for head in heads if head != "unclear" or any("unclear" in verdict_of.values() for _, verdict_of in verdicts)]
-    lines = [f"| metric | {' | '.join(heads[head] for head in columns)} |", "| --- |" + " --- |" * len(columns)]
+    heads |= (
+        {"disputed": "depends on the capture"}
+        if len(studies) > 1
+        else {"unclear": "one clip: unclear"}
+    )
+    verdicts = [
+        (metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)
+    ]
+    columns = [
+        head
+        for head in heads
+        if head != "unclear" or any("unclear" in verdict_of.values() for _, verdict_of in verdicts)
+    ]
+    lines = [
+        f"| metric | {' | '.join(heads[head] for head in columns)} |",
+        "| --- |" + " --- |" * len(columns),
+    ]
     for metric, verdict_of in verdicts:
-        cells = [", ".join(ladder for ladder, verdict in verdict_of.items() if verdict == head) or BLANK for head in columns]
+        cells = [
+            ", ".join(ladder for ladder, verdict in verdict_of.items() if verdict == head) or BLANK
+            for head in columns
+        ]
         lines.append(f"| `{metric}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def by_ladder_table(studies: Sequence[Study]) -> str:
-    """Return each degradation with the number of metrics that see it, and the names of those that do not."""
+    """Return each degradation with the number of metrics that see it, and the names of those that
+    do not.
+    """
     verdicts = {metric: _verdicts(studies, metric) for metric in answered_metrics(studies)}
-    lines = ["| degradation | detected by | missed by | better with strength | depends on the capture |"]
+    lines = [
+        "| degradation | detected by | missed by | better with strength | depends on the capture |"
+    ]
     lines.append("| --- | ---: | --- | --- | --- |")
     for ladder in dict.fromkeys(name for study in studies for name in study["ladders"]):
-        verdict_of = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
+        verdict_of = {
+            metric: of_metric[ladder]
+            for metric, of_metric in verdicts.items()
+            if ladder in of_metric
+        }
         seeing = sum(verdict == "sees" for verdict in verdict_of.values())
         cells = [
-            ", ".join(f"`{metric}`" for metric, verdict in verdict_of.items() if verdict == kind) or BLANK
+            ", ".join(f"`{metric}`" for metric, verdict in verdict_of.items() if verdict == kind)
+            or BLANK
             for kind in ("blind", "rewards", "disputed")
         ]
         lines.append(f"| {ladder} | {seeing} of {len(verdict_of)} | {' | '.join(cells)} |")
@@ -55,7 +89,10 @@ def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
         for ladder, answers in study["answers"].items():
             if metric in answers:
                 verdicts.setdefault(ladder, set()).add(answers[metric]["verdict"])
-    return {ladder: answers.pop() if len(answers) == 1 else "disputed" for ladder, answers in verdicts.items()}
+    return {
+        ladder: answers.pop() if len(answers) == 1 else "disputed"
+        for ladder, answers in verdicts.items()
+    }
 
 
 def ladder_table(study: Study) -> str:
@@ -89,13 +126,18 @@ def study_text(study: Study) -> str:
         "Blind to": verdict_table([study]),
         "Not computed": absence_list(study) or "All requested values are computed.",
     }
-    sections = (f"{'#' if not number else '##'} {title}\n\n{part}\n" for number, (title, part) in enumerate(parts.items()))
+    sections = (
+        f"{'#' if not number else '##'} {title}\n\n{part}\n"
+        for number, (title, part) in enumerate(parts.items())
+    )
     return "\n".join(sections)
 
 
 def _table(study: Study, metrics: Sequence[str] | None, cell: Any, with_units: bool = False) -> str:
     ladders = study["ladders"]
-    heads = [f"{name} ({ladder['unit']})" if with_units else name for name, ladder in ladders.items()]
+    heads = [
+        f"{name} ({ladder['unit']})" if with_units else name for name, ladder in ladders.items()
+    ]
     lines = ["| metric | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
     for metric in metrics or answered_metrics([study]):
         answers = [study["answers"][ladder].get(metric) for ladder in ladders]

@@ -1,4 +1,6 @@
-"""Training task of the blending network: to make the target's picture of splatted views and fused depth."""
+"""Training task of the blending network: to make the target's picture of splatted views and fused
+depth.
+"""
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
@@ -21,7 +23,13 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.metric_choices import LpipsNet
-from ggvs_eval.metrics.image.lpips_network import LAYERS, MIN_SIDE_PX, load_weights, network_input_of, tapped_layers
+from ggvs_eval.metrics.image.lpips_network import (
+    LAYERS,
+    MIN_SIDE_PX,
+    load_weights,
+    network_input_of,
+    tapped_layers,
+)
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.online.blend_network import (
@@ -34,7 +42,12 @@ from ggvs_eval.pipelines.online.blend_network import (
     weights_name,
 )
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
-from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
+from ggvs_eval.pipelines.online.network_inputs import (
+    GUIDED,
+    guide_depth,
+    input_channels,
+    reference_depth,
+)
 
 NET: LpipsNet = "alex"  # a tenth of VGG's time, and not the network that tables score by
 NOISE_255 = 3.0  # standard deviation of the truth's noise at which the term counts half
@@ -49,9 +62,10 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
         truth: same shape, in [0, 1].
 
     Reading:
-        Not in the paper, whose L1 and SSIM blur what they cannot place: trained on captures with noise and motion blur next to
-        clean ones, the network became softer in clean rooms (LPIPS 0.083 to 0.090). LPIPS asks for the truth's fine detail back,
-        but of a noisy truth it asks for noise, which costs PSNR and can only be guessed; hence the weight.
+        Not in the paper, whose L1 and SSIM blur what they cannot place: trained on captures with
+        noise and motion blur next to clean ones, the network became softer in clean rooms (LPIPS
+        0.083 to 0.090). LPIPS asks for the truth's fine detail back, but of a noisy truth it asks
+        for noise, which costs PSNR and can only be guessed; hence the weight.
     """
     weights = load_weights(NET, str(truth.device))
     with torch.no_grad():
@@ -59,8 +73,15 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
     layers = tapped_layers(network_input_of(image.clamp(0, 1)), LAYERS[NET], weights)
     distances = torch.zeros(len(truth), device=truth.device)
     for layer, (features, truth_features) in enumerate(zip(layers, truth_layers, strict=True)):
-        squared = (functional.normalize(features, eps=1e-10) - functional.normalize(truth_features, eps=1e-10)).square()
-        distances = distances + torch.einsum("nchw,c->n", squared, weights[f"head{layer}.weight"]) / squared[0, 0].numel()
+        squared = (
+            functional.normalize(features, eps=1e-10)
+            - functional.normalize(truth_features, eps=1e-10)
+        ).square()
+        distances = (
+            distances
+            + torch.einsum("nchw,c->n", squared, weights[f"head{layer}.weight"])
+            / squared[0, 0].numel()
+        )
     return (distances / (1 + (noise_255(truth) / NOISE_255) ** 2)).mean()
 
 
@@ -72,17 +93,19 @@ def require_perceptual(width: int, height: int) -> None:
     """
     if min(width, height) < MIN_SIDE_PX[NET]:
         raise TrainingError(
-            f"the perceptual term wants crops of at least {MIN_SIDE_PX[NET]} pixels a side, got {width} x {height}; "
-            "use larger crops, or perceptual=0"
+            f"the perceptual term wants crops of at least {MIN_SIDE_PX[NET]} pixels a side, got "
+            f"{width} x {height}; use larger crops, or perceptual=0"
         )
     load_weights(NET)
 
 
 def noise_255(images: Tensor) -> Tensor:
-    """Estimate the noise of images (B, 3, H, W) in [0, 1]: standard deviation of a channel, (B,), in levels of 255.
+    """Estimate the noise of images (B, 3, H, W) in [0, 1]: standard deviation of a channel, (B,),
+    in levels of 255.
 
-    By the median of a filter that planes and straight edges pass without a trace (Immerkær, Fast noise variance estimation,
-    1996), of the mean of the channels, whose noise is taken to be independent.
+    By the median of a filter that planes and straight edges pass without a trace (Immerkær, Fast
+    noise variance estimation, 1996), of the mean of the channels, whose noise is taken to be
+    independent.
     """
     kernel = torch.tensor([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]], device=images.device)[None, None]
     filtered = functional.conv2d(images.mean(dim=1, keepdim=True), kernel).abs().flatten(1)
@@ -109,14 +132,19 @@ class BlendLossWeights:
 
 
 def blend_loss(
-    image: Tensor, outputs: BlendOutputs, batch: Mapping[str, Tensor], weights: BlendLossWeights, tsdf_guidance: bool
+    image: Tensor,
+    outputs: BlendOutputs,
+    batch: Mapping[str, Tensor],
+    weights: BlendLossWeights,
+    tsdf_guidance: bool,
 ) -> tuple[Tensor, dict[str, float]]:
     """Eq. 7, and the perceptual term.
 
     Args:
         image: the synthesised view, (B, 3, H, W).
-        batch: ``alphas`` (B, K, H, W) of the views and ``truth`` (B, 3, H, W) in [0, 1]; ``depths`` (B, K, H, W) and
-            ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
+        batch: ``alphas`` (B, K, H, W) of the views and ``truth`` (B, 3, H, W) in [0, 1]; ``depths``
+            (B, K, H, W) and ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where
+            unknown.
         tsdf_guidance: without it there is no fused depth to follow: the depth term is left out.
 
     Returns:
@@ -130,7 +158,9 @@ def blend_loss(
     if weights.perceptual > 0:
         terms["perceptual"] = perceptual_loss(image, batch["truth"])
     if tsdf_guidance:
-        terms["depth"] = depth_loss(batch["depths"], batch["fused_depth"], outputs.weights * batch["alphas"])
+        terms["depth"] = depth_loss(
+            batch["depths"], batch["fused_depth"], outputs.weights * batch["alphas"]
+        )
     loss = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()
     return loss, {f"{name}_loss": float(term.detach()) for name, term in terms.items()}
 
@@ -144,10 +174,11 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
         weights: alpha_k w_k, (B, K, H, W).
 
     Reading:
-        As printed the denominator lacks its sum over the views, and the sum over pixels is divided by H W K: kept, so the term
-        weighs a K-th of what its factor says; K is the network's, views that a sample lacks included. Depth is measured in each
-        scene's own unit (`reference_depth`), else the loss would depend on the scale of the world. Pixels count where the fused
-        depth is known and a view has weight.
+        As printed the denominator lacks its sum over the views, and the sum over pixels is divided
+        by H W K: kept, so the term weighs a K-th of what its factor says; K is the network's, views
+        that a sample lacks included. Depth is measured in each scene's own unit
+        (`reference_depth`), else the loss would depend on the scale of the world. Pixels count
+        where the fused depth is known and a view has weight.
     """
     visible = weights * (depths > 0)
     blended = weighted_mean_tensor(depths[:, :, None], visible)[:, 0]
@@ -156,7 +187,8 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
 
 
 def mask_loss(background_weight: Tensor, alphas: Tensor) -> Tensor:
-    """Measure how far the background's weight is from 1 if no view covers the pixel, and from 0 elsewhere.
+    """Measure how far the background's weight is from 1 if no view covers the pixel, and from 0
+    elsewhere.
 
     Args:
         background_weight: w_BG, (B, H, W).
@@ -171,12 +203,14 @@ class Augmentation:
     """Strengths of the augmentation of crops.
 
     Attributes:
-        gain: standard deviation of the logarithm of one gain for sources and truth alike, per channel.
+        gain: standard deviation of the logarithm of one gain for sources and truth alike, per
+            channel.
         view_gain: of one gain per view, ...
         view_gain_share: ... in this share of the crops.
         blur_px: largest standard deviation of a blur of one view, ...
         blur_share: ... in this share of the crops.
-        shift_px: standard deviation by which each view is displaced, as wrong depth or a wrong pose would, ...
+        shift_px: standard deviation by which each view is displaced, as wrong depth or a wrong pose
+            would, ...
         shift_share: ... in this share of the crops.
     """
 
@@ -189,7 +223,9 @@ class Augmentation:
     shift_share: float = 0.25
 
 
-def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augmentation) -> tuple[RawViews, Map]:
+def augment(
+    views: RawViews, truth: Map, rng: np.random.Generator, options: Augmentation
+) -> tuple[RawViews, Map]:
     """Return a crop as other cameras could have seen it.
 
     Args:
@@ -200,21 +236,34 @@ def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augm
     """
     count = len(views.sources)
     common = np.exp(rng.normal(0, options.gain, 3))
-    gain = np.exp(rng.normal(0, options.view_gain, (count, 1))) if rng.random() < options.view_gain_share else np.ones((count, 1))
+    gain = (
+        np.exp(rng.normal(0, options.view_gain, (count, 1)))
+        if rng.random() < options.view_gain_share
+        else np.ones((count, 1))
+    )
     gains = (common * gain).astype(np.float32)[:, None, None]  # (K, 1, 1, 3)
-    changed = replace(views, splats=np.clip(views.splats * gains, 0, 1), warps=np.clip(views.warps * gains, 0, 1))
+    changed = replace(
+        views, splats=np.clip(views.splats * gains, 0, 1), warps=np.clip(views.warps * gains, 0, 1)
+    )
     if rng.random() < options.shift_share:
         changed = displaced(changed, rng.normal(0, options.shift_px, (count, 2)))
     if rng.random() < options.blur_share:
-        changed = _blurred(changed, int(rng.integers(count)), float(rng.uniform(0.3, options.blur_px)))
+        changed = _blurred(
+            changed, int(rng.integers(count)), float(rng.uniform(0.3, options.blur_px))
+        )
     return changed, np.clip(truth * common.astype(np.float32), 0, 1)
 
 
 def displaced(views: RawViews, shifts_px: NDArray[np.float64]) -> RawViews:
-    """Return each view moved in the target view by (right, down) pixels, (K, 2); the border is repeated."""
+    """Return each view moved in the target view by (right, down) pixels, (K, 2).
+
+    The border is repeated.
+    """
 
     def moved(maps: Map) -> Map:
-        return np.stack([_moved(view_map, *shift) for view_map, shift in zip(maps, shifts_px, strict=True)])
+        return np.stack(
+            [_moved(view_map, *shift) for view_map, shift in zip(maps, shifts_px, strict=True)]
+        )
 
     return replace(
         views,
@@ -231,7 +280,10 @@ def _moved(image: Map, right: float, down: float) -> Map:
     size = image.shape[1::-1]
     nearest = image.ndim == 2  # depth and coverage: what is between two surfaces is neither
     flags = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    return np.asarray(
+        cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE),
+        np.float32,
+    )
 
 
 def _blurred(views: RawViews, index: int, sigma_px: float) -> RawViews:
@@ -243,7 +295,8 @@ def _blurred(views: RawViews, index: int, sigma_px: float) -> RawViews:
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
 LEARNING = Schedule(1e-3, weight_decay=1e-5, warm_up=100, cool_down=0.4)
-FINE_TUNING = Schedule(3e-4, weight_decay=1e-5, warm_up=50, cool_down=0.5)  # of weights that have learned already
+# of weights that have learned already
+FINE_TUNING = Schedule(3e-4, weight_decay=1e-5, warm_up=50, cool_down=0.5)
 
 
 @dataclass(frozen=True)
@@ -255,12 +308,13 @@ class BlendTask:
         validation: samples that are never learned from.
         seed: of the weights and the crops.
         crop_width: of the crops, pixels.
-        augmentation: of the crops; None leaves them as they are except for mirroring and the order of colours.
+        augmentation: of the crops; None leaves them as they are except for mirroring and the order
+            of colours.
         schedule: see `Schedule`; the weight decay is the paper's.
 
     Reading:
-        The paper has 2e-4, for long trainings on a GPU. The schedule here takes an hour of one core: at 1e-3 the refiner has most
-        of what it can learn after 500 steps.
+        The paper has 2e-4, for long trainings on a GPU. The schedule here takes an hour of one
+        core: at 1e-3 the refiner has most of what it can learn after 500 steps.
     """
 
     training: SamplePool[BlendSample]
@@ -279,7 +333,8 @@ class BlendTask:
         for source in (*self.training.sources, *self.validation.sources):
             if source.most_views > self.config.views:
                 raise TrainingError(
-                    f"a network for {self.config.views} views cannot learn from samples of {source.most_views} views"
+                    f"a network for {self.config.views} views cannot learn from samples of "
+                    f"{source.most_views} views"
                 )
         require_room(self.training, self.crop_width, self.crop_height)
         if self.weights.perceptual > 0:
@@ -304,8 +359,8 @@ class BlendTask:
     def evaluated_on(self) -> str:
         """Sentence of the model card on the measures of `validate`."""
         return (
-            f"PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the geometric blender on the same "
-            f"views: {self.validation.data}."
+            "PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the "
+            f"geometric blender on the same views: {self.validation.data}."
         )
 
     @property
@@ -325,24 +380,35 @@ class BlendTask:
         """Return the channels (B, 9 K + 1, H, W), and the input of `blend_loss`."""
         rng = np.random.default_rng([self.seed, step])
         crops = [self._crop(rng) for _ in range(self.batch_size)]
-        return {name: torch.from_numpy(np.stack([crop[name] for crop in crops])) for name in crops[0]}
+        return {
+            name: torch.from_numpy(np.stack([crop[name] for crop in crops])) for name in crops[0]
+        }
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
+    def loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Mapping[str, float]]:
         """Eq. 7 and its terms."""
         assert isinstance(network, BlendNetwork)
         outputs = read_outputs(network(batch["channels"]), batch, self.config.views)
-        image = network.refine(compose_tensors(outputs, batch["colours"], batch["coverage"]), outputs, batch)
+        image = network.refine(
+            compose_tensors(outputs, batch["colours"], batch["coverage"]), outputs, batch
+        )
         return blend_loss(image, outputs, batch, self.weights, self.config.guidance in GUIDED)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Return the scores of the network and of the geometric blender, as an evaluation would measure them."""
+        """Return the scores of the network and of the geometric blender, as an evaluation would
+        measure them.
+        """
         assert isinstance(network, BlendNetwork)
         network = deepcopy(network).cpu()  # where the kernels are
         sums = dict.fromkeys(("psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"), 0.0)
         guidance = self.config.guidance
         for index in range(len(self.validation)):
             sample = self.validation.read(index)
-            images = {"": quantise(blend_by(network, sample.views.maps(guidance)).image), "geometric_": sample.geometric}
+            images = {
+                "": quantise(blend_by(network, sample.views.maps(guidance)).image),
+                "geometric_": sample.geometric,
+            }
             for prefix, image in images.items():
                 sums[f"{prefix}psnr_db"] += psnr(image, sample.truth)
                 sums[f"{prefix}ssim"] += ssim(image, sample.truth)
@@ -352,24 +418,40 @@ class BlendTask:
         """Return a random window of a random sample, perhaps mirrored, its colours in any order."""
         sample = self.training.read(int(rng.integers(len(self.training))))
         width, height = sample.views.target.size
-        left, top = rng.integers(width - self.crop_width + 1), rng.integers(height - self.crop_height + 1)
-        change = None if self.augmentation is None else partial(augment, rng=rng, options=self.augmentation)
-        arrays = crop_arrays(sample, (int(left), int(top), self.crop_width, self.crop_height), self.config, change)
+        left, top = (
+            rng.integers(width - self.crop_width + 1),
+            rng.integers(height - self.crop_height + 1),
+        )
+        change = (
+            None
+            if self.augmentation is None
+            else partial(augment, rng=rng, options=self.augmentation)
+        )
+        arrays = crop_arrays(
+            sample, (int(left), int(top), self.crop_width, self.crop_height), self.config, change
+        )
         return mirrored(recoloured(arrays, rng.permutation(3)), bool(rng.random() < 0.5))
 
 
 def crop_arrays(
-    sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkShape, change: Change | None = None
+    sample: BlendSample,
+    window: tuple[int, int, int, int],
+    config: BlendNetworkShape,
+    change: Change | None = None,
 ) -> dict[str, Map]:
-    """Return the input of the network and its loss from a window (left, top, width, height) of a sample.
+    """Return the input of the network and its loss from a window (left, top, width, height) of a
+    sample.
 
-    Depths and distances are measured in the unit of the whole view, as they are when the network is used. Views that the sample
-    does not have cover nothing. `change` may alter the crop's views and truth first.
+    Depths and distances are measured in the unit of the whole view, as they are when the network is
+    used. Views that the sample does not have cover nothing. `change` may alter the crop's views and
+    truth first.
     """
     left, top, width, height = window
     unit = reference_depth(guide_depth(sample.views.splatted, config.guidance), sample.views.target)
     views = sample.views.cropped(*window)
-    truth = sample.truth[top : top + height, left : left + width].astype(np.float32) / np.float32(255)
+    truth = sample.truth[top : top + height, left : left + width].astype(np.float32) / np.float32(
+        255
+    )
     views, truth = (views, truth) if change is None else change(views, truth)
     maps = views.maps(config.guidance)
     of_views = {
@@ -405,6 +487,11 @@ def recoloured(arrays: Mapping[str, Map], order: np.ndarray) -> dict[str, Map]:
 
 
 def mirrored(arrays: Mapping[str, Map], mirror: bool) -> dict[str, Map]:
-    """Return the arrays of a crop, left and right swapped: no channel knows its side, angles and lengths stay what they are."""
-    flipped = {name: array[..., ::-1] if mirror and array.ndim > 1 else array for name, array in arrays.items()}
+    """Return the arrays of a crop, left and right swapped: no channel knows its side, angles and
+    lengths stay what they are.
+    """
+    flipped = {
+        name: array[..., ::-1] if mirror and array.ndim > 1 else array
+        for name, array in arrays.items()
+    }
     return {name: np.ascontiguousarray(array) for name, array in flipped.items()}

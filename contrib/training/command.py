@@ -1,4 +1,6 @@
-"""The verb of the command line that trains the networks of this package: a subcommand per network, and one for all."""
+"""The verb of the command line that trains the networks of this package: a subcommand per network,
+and one for all.
+"""
 
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -14,16 +16,20 @@ from ggvs_eval.plugins import missing_part
 ABOUT = {
     BLEND: """Train the blending network on procedural rooms and captures.
 
-    Rooms and depth are made before the first step. It learns from two views on. The samples are stored in blend-samples next to
-    the folder.""",
+    Rooms and depth are made before the first step. It learns from two views on. The samples are
+    stored in blend-samples next to the folder.""",
     STEREO: "Train the compact RAFT-Stereo on pairs of procedural rooms.",
-    **{name: f"Train the baseline {name} on the views of the blending network." for name in TRAINED_BASELINES},
+    **{
+        name: f"Train the baseline {name} on the views of the blending network."
+        for name in TRAINED_BASELINES
+    },
     ALL: "Train the blending network (all, no, naive guidance) and all baselines in parallel.",
 }
 ARGUMENTS = """
 
     Args:
-        out: folder for state, weights, logs and model card; for `all` one per network, and the samples.
+        out: folder for state, weights, logs and model card; for `all` one per network, and the
+            samples.
         training: training options.
         jobs: parallel trainings; by default all on a GPU, one per two cores without.
     """
@@ -57,4 +63,6 @@ TRAININGS: dict[str, Callable[..., None]] = {name: _training(name) for name in A
 
 def _require_rooms() -> None:
     if part := missing_part("ggvs_eval.contrib.worlds"):
-        raise AbsentPartError(f"train: wanted {part} for its rooms, got no such part; reinstall ggvs-eval")
+        raise AbsentPartError(
+            f"train: wanted {part} for its rooms, got no such part; reinstall ggvs-eval"
+        )

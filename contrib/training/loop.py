@@ -1,4 +1,7 @@
-"""The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run continues where it was."""
+"""The training loop of every network here: AdamW, averaged weights, checkpoints, a log.
+
+A killed run continues where it was.
+"""
 
 import csv
 import hashlib
@@ -36,7 +39,8 @@ class TrainingState:
     """Everything that changes while training.
 
     Attributes:
-        pixels: of target views that were learned from, those of the weights that it began with included.
+        pixels: of target views that were learned from, those of the weights that it began with
+            included.
         network: the weights that are moved.
     """
 
@@ -53,7 +57,9 @@ def state_file(folder: Path) -> Path:
 
 
 def write_state(folder: Path, state: TrainingState) -> None:
-    """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
+    """Write it under a temporary name and rename it, so that a kill leaves the old one or the new
+    one.
+    """
     values = {
         "step": state.step,
         "pixels": state.pixels,
@@ -67,7 +73,10 @@ def write_state(folder: Path, state: TrainingState) -> None:
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
-    """Return the state of a folder poured into a fresh one; the fresh one itself if there is none."""
+    """Return the state of a folder poured into a fresh one.
+
+    The fresh one itself if there is none.
+    """
     path = state_file(folder)
     if not path.is_file():
         return fresh
@@ -77,9 +86,18 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
         fresh.average.load_state_dict(values["average"])
         fresh.optimiser.load_state_dict(values["optimiser"])
         fresh.step, fresh.pixels = int(values["step"]), int(values.get("pixels", 0))
-    except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+    except (
+        RuntimeError,
+        KeyError,
+        ValueError,
+        TypeError,
+        EOFError,
+        pickle.UnpicklingError,
+    ) as error:
         reason = str(error).splitlines()[0]
-        raise TrainingError(f"{path}: wanted a state of this training, got {reason}; choose another folder") from error
+        raise TrainingError(
+            f"{path}: wanted a state of this training, got {reason}; choose another folder"
+        ) from error
     return fresh
 
 
@@ -93,7 +111,9 @@ def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> N
 
 
 def pour_weights(path: Path, network: nn.Module) -> int:
-    """Give a network the weights of such a file; one that says how earlier weights are `completed` takes those, too.
+    """Give a network the weights of such a file.
+
+    One that says how earlier weights are `completed` takes those, too.
 
     Returns:
         Pixels that they have learned from, 0 if the file does not say.
@@ -129,8 +149,10 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         f"- Command: `{command}`",
         f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",
-        f"- Pixels of target views: {pixels / 1e6:.0f} million, including those of the initial weights, if known",
-        f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
+        f"- Pixels of target views: {pixels / 1e6:.0f} million, including those of the initial "
+        f"weights, if known",
+        f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, "
+        f"averaged over the last steps,",
         f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
         f"- Data: {task.data}",
         "- Licence: that of this package.",
@@ -144,7 +166,11 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         f"{task.evaluated_on}",
         "",
-        *_table(selection if not validations or selection[-1] == validations[-1] else [*selection, validations[-1]]),
+        *_table(
+            selection
+            if not validations or selection[-1] == validations[-1]
+            else [*selection, validations[-1]]
+        ),
     ]
     card = folder / f"{task.name}.md"
     card.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -171,15 +197,19 @@ def _table(rows: list[dict[str, str]]) -> list[str]:
         return ["not computed: the training has not reached its first validation"]
     header = list(rows[0])
     body = ["| " + " | ".join(row[name] for name in header) + " |" for row in rows]
-    return ["| " + " | ".join(header) + " |", "| " + " | ".join("---:" for _ in header) + " |", *body]
+    return [
+        "| " + " | ".join(header) + " |",
+        "| " + " | ".join("---:" for _ in header) + " |",
+        *body,
+    ]
 
 
 def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     """Train a network, or continue training it.
 
     Args:
-        folder: gets ``state.pt`` (to continue from), ``log.csv``, ``validation.csv``, both drawn in ``<task>.png``, and
-            ``<task>.safetensors``.
+        folder: gets ``state.pt`` (to continue from), ``log.csv``, ``validation.csv``, both drawn in
+            ``<task>.png``, and ``<task>.safetensors``.
     """
     device = compute_device(options.device)
     state = _start(task, folder, device, options.start_from)
@@ -189,7 +219,10 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     for step, batch in _remaining(task, state.step, options):
         started, on_cpu = perf_counter(), process_time()
         figures = _step(task, state, batch, step, options, device)
-        log.step(step, figures | {"seconds": perf_counter() - started, "cpu_seconds": process_time() - on_cpu})
+        log.step(
+            step,
+            figures | {"seconds": perf_counter() - started, "cpu_seconds": process_time() - on_cpu},
+        )
         state.step, state.pixels = step + 1, state.pixels + task.step_pixels
         last = state.step == options.steps
         if last:
@@ -205,30 +238,45 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     return folder / f"{task.name}.safetensors"
 
 
-def _start(task: Task, folder: Path, device: torch.device, start_from: Path | None) -> TrainingState:
+def _start(
+    task: Task, folder: Path, device: torch.device, start_from: Path | None
+) -> TrainingState:
     network, pixels = task.network(), 0
     if start_from is not None and not state_file(folder).is_file():
         pixels = pour_weights(start_from, network)
     network = network.to(device)
     for parameter in network.parameters():
-        if parameter.dim() == 4:  # weights of images' convolutions; those of volumes stay as they are
+        # weights of images' convolutions; those of volumes stay as they are
+        if parameter.dim() == 4:
             parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
-    average = AveragedModel(network, avg_fn=partial(_averaged, task.schedule.average), use_buffers=True)
+    average = AveragedModel(
+        network, avg_fn=partial(_averaged, task.schedule.average), use_buffers=True
+    )
     schedule = task.schedule
-    optimiser = torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
-    state = TrainingState(0, pixels, network, average, optimiser)
+    optimiser = torch.optim.AdamW(
+        network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay
+    )
+    state = TrainingState(
+        step=0, pixels=pixels, network=network, average=average, optimiser=optimiser
+    )
     return read_state(folder, state, device)
 
 
 def _notes(state: TrainingState) -> dict[str, str]:
-    """Write the notes in the header of the weights: steps, pixels, and the configuration of a network that has several."""
+    """Write the notes in the header of the weights: steps, pixels, and the configuration of a
+    network that has several.
+    """
     configuration = getattr(state.network, "configuration", None)
     notes = {"steps": str(state.step), PIXELS_NOTE: str(state.pixels)}
     return notes if configuration is None else {**notes, CONFIGURATION_NOTE: configuration}
 
 
-def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
-    """Running average that forgets faster at first, so that it does not keep the random weights it began with."""
+def _averaged(
+    decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int
+) -> torch.Tensor:
+    """Running average that forgets faster at first, so that it does not keep the random weights it
+    began with.
+    """
     if not average.is_floating_point():
         return current
     return torch.lerp(average, current, 1 - min(decay, (1 + int(count)) / (10 + int(count))))
@@ -241,24 +289,45 @@ def _remaining(task: Task, start: int, options: TrainingOptions) -> Iterator[tup
 
 
 def _step(
-    task: Task, state: TrainingState, batch: Any, step: int, options: TrainingOptions, device: torch.device
+    task: Task,
+    state: TrainingState,
+    batch: Any,
+    step: int,
+    options: TrainingOptions,
+    device: torch.device,
 ) -> dict[str, float]:
     rate = task.schedule.rate(step, options.steps)
     for group in state.optimiser.param_groups:
         group["lr"] = rate
-    with computing_on(device), torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)):
-        loss, figures = task.loss(state.network, {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
+    with (
+        computing_on(device),
+        torch.autocast(
+            device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)
+        ),
+    ):
+        loss, figures = task.loss(
+            state.network,
+            {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()},
+        )
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     norm = nn.utils.clip_grad_norm_(state.network.parameters(), task.schedule.clip)
     if torch.isfinite(norm):  # one bad batch must not spoil the weights for ever; the log shows it
         state.optimiser.step()
         state.average.update_parameters(state.network)
-    return {"loss": float(loss.detach()), **figures, "gradient_norm": float(norm), "learning_rate": rate}
+    return {
+        "loss": float(loss.detach()),
+        **figures,
+        "gradient_norm": float(norm),
+        "learning_rate": rate,
+    }
 
 
 def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Return whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
+    """Return whether convolutions run in bfloat16.
+
+    ``auto`` asks for hardware that multiplies it in tiles.
+    """
     if precision != "auto":
         return precision == "bfloat16"
     if device.type == "cuda":
@@ -277,7 +346,10 @@ class _Steps(Dataset[Any]):
 
 
 def _batches(task: Task, start: int, stop: int, workers: int) -> Iterator[Any]:
-    """Yield the batches of steps start..stop-1 in order; which worker process makes which does not change them."""
+    """Yield the batches of steps start..stop-1 in order.
+
+    Which worker process makes which does not change them.
+    """
     loader = DataLoader(
         _Steps(task),
         batch_size=None,

@@ -35,7 +35,10 @@ class Schedule:
 
 
 class Task(Protocol):
-    """A network that is to learn something; batches depend on the step alone, so that a killed training continues unchanged."""
+    """A network that is to learn something.
+
+    Batches depend on the step alone, so that a killed training continues unchanged.
+    """
 
     @property
     def name(self) -> str:
@@ -65,22 +68,30 @@ class Task(Protocol):
         """Return a fresh network with seeded weights."""
 
     def batch(self, step: int) -> Any:
-        """Return the samples of one step: tensors in a tuple, list, dict or dataclass. Runs in a worker process."""
+        """Return the samples of one step: tensors in a tuple, list, dict or dataclass.
+
+        Runs in a worker process.
+        """
 
     def loss(self, network: nn.Module, batch: Any) -> tuple[Tensor, Mapping[str, float]]:
         """Return the loss to be minimised, and figures for the log."""
 
     def settle(self, network: nn.Module) -> None:
-        """Make a trained network ready for use: statistics that small crops estimate badly are computed from whole views."""
+        """Make a trained network ready for use: statistics that small crops estimate badly are
+        computed from whole views.
+        """
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Return the figures on data that is never trained on."""
 
 
-def recompute_statistics(network: nn.Module, views: Iterable[Callable[[nn.Module], object]]) -> None:
+def recompute_statistics(
+    network: nn.Module, views: Iterable[Callable[[nn.Module], object]]
+) -> None:
     """Replace the running statistics of a network by their means over whole views.
 
-    The running mean of a training remembers its last ten crops or so, and a crop's statistics are not those of a view.
+    The running mean of a training remembers its last ten crops or so, and a crop's statistics are
+    not those of a view.
 
     Args:
         network: left in evaluation mode.
@@ -103,7 +114,9 @@ def recompute_statistics(network: nn.Module, views: Iterable[Callable[[nn.Module
 
 
 def freeze_statistics(network: nn.Module) -> None:
-    """Have a network in training mode normalise by its running statistics, so that it learns as it is used."""
+    """Have a network in training mode normalise by its running statistics, so that it learns as it
+    is used.
+    """
     for layer in _layers(network):
         layer.eval()
 

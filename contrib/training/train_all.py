@@ -1,4 +1,6 @@
-"""All networks from one command: samples first, then trainings side by side, each as the single command would run it."""
+"""All networks from one command: samples first, then trainings side by side, each as the single
+command would run it.
+"""
 
 import fcntl
 import os
@@ -59,7 +61,11 @@ class Training:
 
 def default_jobs(device_type: str, trainings: int) -> int:
     """Return how many trainings run at once: all of them on a GPU, one per two cores on a CPU."""
-    return trainings if device_type == "cuda" else max(min(usable_cpus() // CORES_PER_TRAINING, trainings), 1)
+    return (
+        trainings
+        if device_type == "cuda"
+        else max(min(usable_cpus() // CORES_PER_TRAINING, trainings), 1)
+    )
 
 
 def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
@@ -72,13 +78,19 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
         Name of each training that failed, and one line that says why and where its log is.
 
     Reading:
-        A training keeps its log locked while it runs, so that a second call never trains into the same folder.
+        A training keeps its log locked while it runs, so that a second call never trains into the
+        same folder.
     """
     if jobs < 1:
-        raise TrainingError(f"train all: wanted at least one job at a time, got --jobs {jobs}; give 1 or more")
+        raise TrainingError(
+            f"train all: wanted at least one job at a time, got --jobs {jobs}; give 1 or more"
+        )
     waiting, failures = list(trainings), dict[str, str]()
     running: dict[Training, subprocess.Popen[bytes]] = {}
-    with ProgressLines({training.name: training.steps for training in trainings}) as lines, _stopped_at_the_end(running):
+    with (
+        ProgressLines({training.name: training.steps for training in trainings}) as lines,
+        _stopped_at_the_end(running),
+    ):
         while waiting or running:
             while waiting and len(running) < jobs:
                 training = waiting.pop(0)
@@ -97,7 +109,10 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
 
 
 def last_line(path: Path) -> str:
-    """Return the last line of a file that is not empty, nothing if there is none; a line that is being written counts."""
+    """Return the last line of a file that is not empty, nothing if there is none.
+
+    A line that is being written counts.
+    """
     try:
         with path.open("rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
@@ -116,7 +131,12 @@ def _start(training: Training, jobs: int) -> subprocess.Popen[bytes]:
         threads = str(max(usable_cpus() // jobs, 1))
         environment = {"OMP_NUM_THREADS": threads, "GGVS_EVAL_THREADS": threads, **os.environ}
         return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,
         )
 
 
@@ -126,8 +146,8 @@ def _lock(training: Training, log: IO[bytes]) -> None:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         raise TrainingError(
-            f"{training.name}: another call trains it in {training.folder}; wait for it or stop it, and run this again "
-            f"(log: {training.log})"
+            f"{training.name}: another call trains it in {training.folder}; wait for it or stop "
+            f"it, and run this again (log: {training.log})"
         ) from error
 
 
@@ -143,7 +163,9 @@ def _failure(training: Training, code: int) -> dict[str, str]:
 
 @contextmanager
 def _stopped_at_the_end(running: dict[Training, subprocess.Popen[bytes]]) -> Iterator[None]:
-    """Stop what still runs when the block is left early: by an error, Ctrl-C or a request to terminate."""
+    """Stop what still runs when the block is left early: by an error, Ctrl-C or a request to
+    terminate.
+    """
     try:
         yield
     finally:
@@ -162,7 +184,8 @@ def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> N
 
 
 class ProgressLines:
-    """A progress line per training, a context manager: bars on a terminal, a line at each tenth elsewhere.
+    """A progress line per training, a context manager: bars on a terminal, a line at each tenth
+    elsewhere.
 
     Args:
         steps: name -> steps of each.
@@ -170,7 +193,14 @@ class ProgressLines:
 
     def __init__(self, steps: Mapping[str, int]) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
         console = Console(stderr=True)
         self._steps = dict(steps)
@@ -186,13 +216,20 @@ class ProgressLines:
             disable=not console.is_terminal,
             speed_estimate_period=LOOK_BACK_S,
         )
-        self._tasks = {name: self._bars.add_task(name, total=total) for name, total in steps.items()}
+        self._tasks = {
+            name: self._bars.add_task(name, total=total) for name, total in steps.items()
+        }
 
     def __enter__(self) -> "ProgressLines":
         self._bars.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._bars.stop()
 
     def show(self, name: str, n_done: int) -> None:
@@ -222,51 +259,81 @@ NETWORKS: tuple[Network, ...] = (
 
 
 def train_all(
-    folder: Path, request: TrainingOptions, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
+    folder: Path,
+    request: TrainingOptions,
+    jobs: int | None = None,
+    networks: Sequence[Network] = NETWORKS,
 ) -> list[Path]:
     """Train all networks of a comparison on the same views; finished ones are not trained again.
 
     Args:
-        folder: gets a folder per network, with state, logs, curve, weights and card, and the samples.
+        folder: gets a folder per network, with state, logs, curve, weights and card, and the
+            samples.
         jobs: trainings at a time; by default all on a GPU, one per two cores on a CPU.
 
     Raises:
         DeviceError: there is no such device here.
-        TrainingError: nothing to learn from, an option that is for one network alone, or trainings that failed; all others are
-            finished then.
+        TrainingError: nothing to learn from, an option that is for one network alone, or trainings
+            that failed; all others are finished then.
     """
     device = compute_device(request.device)
     if request.start_from is not None or request.guidance != "registered":
         raise TrainingError(
-            "train all: wanted options that all networks share, got --start-from or --guidance; train that network alone, as "
-            "`ggvs-eval train blend` does, and call again"
+            "train all: wanted options that all networks share, got --start-from or --guidance; "
+            "train that network alone, as `ggvs-eval train blend` does, and call again"
         )
     trainings = planned_trainings(folder, request, networks)
     prepare_all(folder / CACHE, request, networks)
-    failures = run_trainings(trainings, default_jobs(device.type, len(trainings)) if jobs is None else jobs)
+    failures = run_trainings(
+        trainings, default_jobs(device.type, len(trainings)) if jobs is None else jobs
+    )
     if failures:
         print(*failures.values(), sep="\n", file=sys.stderr)
         raise TrainingError(
-            f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; fix "
-            "the errors in their logs and run this again to resume"
+            f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, "
+            "the others are trained; fix the errors in their logs and run this again to resume"
         )
-    return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]
+    return [
+        training.folder / f"{training.name}{end}"
+        for training in trainings
+        for end in (".safetensors", ".md")
+    ]
 
 
-def planned_trainings(folder: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> list[Training]:
+def planned_trainings(
+    folder: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS
+) -> list[Training]:
     """Return the command of each network's training."""
     trainings = []
     for network, guidance in networks:
         name = weights_name(guidance) if network == "blend" else network
         words = replace(request, guidance=guidance).words(network)
-        trainings.append(Training(name, folder / name, ("train", network, str(folder / name), *words), request.steps))
+        trainings.append(
+            Training(
+                name=name,
+                folder=folder / name,
+                arguments=("train", network, str(folder / name), *words),
+                steps=request.steps,
+            )
+        )
     return trainings
 
 
-def prepare_all(cache: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> None:
-    """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all."""
+def prepare_all(
+    cache: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS
+) -> None:
+    """Make the samples that any of the networks lacks, with all cores.
+
+    Rooms are rendered once for all.
+    """
     if any(network == "blend" for network, _ in networks):
         device = sample_device(request)
         prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))
-    for depth in sorted({TRAINED_BASELINES[network].takes_depth for network, _ in networks if network in TRAINED_BASELINES}):
+    for depth in sorted(
+        {
+            TRAINED_BASELINES[network].takes_depth
+            for network, _ in networks
+            if network in TRAINED_BASELINES
+        }
+    ):
         prepare_samples(*sample_pools(cache, request, InstantKind(depth)), usable_cpus())

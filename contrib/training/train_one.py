@@ -34,7 +34,8 @@ from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkShape
 from ggvs_eval.plugins import DEVICE_PARTS
 
 STATISTICS_VIEWS = 48  # that running statistics are computed over
-LEAST_CROP_PX, CROP_MULTIPLE = 32, 8  # windows of SSIM and of attention fit in, coarse levels of volumes have whole pixels
+# windows of SSIM and of attention fit in, coarse levels of volumes have whole pixels
+LEAST_CROP_PX, CROP_MULTIPLE = 32, 8
 
 
 def baseline_task(
@@ -59,11 +60,18 @@ def baseline_task(
     if crop:
         if min(crop) < LEAST_CROP_PX or any(side % CROP_MULTIPLE for side in crop):
             raise TrainingError(
-                f"{name}: wanted crops whose sides are multiples of {CROP_MULTIPLE} and at least {LEAST_CROP_PX} pixels, got "
-                f"{crop[0]} x {crop[1]}; correct --crop"
+                f"{name}: wanted crops whose sides are multiples of {CROP_MULTIPLE} and at least "
+                f"{LEAST_CROP_PX} pixels, got {crop[0]} x {crop[1]}; correct --crop"
             )
         recipe = replace(recipe, crop_width=crop[0], crop_height=crop[1])
-    return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)
+    return BaselineTask(
+        *samples,
+        baseline,
+        recipe,
+        recipe.batch_size,
+        FINE_TUNING if is_trained else LEARNING,
+        is_trained,
+    )
 
 
 @dataclass(frozen=True)
@@ -74,9 +82,10 @@ class BaselineTask:
         training: samples to learn from; their `prepare` makes them.
         validation: samples that are never learned from.
         recipe: its network, its loss and the size of its crops.
-        schedule: that of the blending network; what a rate for a GPU's day would learn in an hour of one core is little.
-        has_statistics: the network begins with running statistics that are right, and learns under them; else they follow the
-            crops, and are computed anew at the end.
+        schedule: that of the blending network; what a rate for a GPU's day would learn in an hour
+            of one core is little.
+        has_statistics: the network begins with running statistics that are right, and learns under
+            them; else they follow the crops, and are computed anew at the end.
     """
 
     training: SamplePool[InstantSample]
@@ -109,11 +118,19 @@ class BaselineTask:
     @property
     def evaluated_on(self) -> str:
         """Sentence of the model card on the measures of `validate`."""
-        step, refusals = self.recipe.validated_step, [refusal for refusal in self._refusals if refusal]
+        step, refusals = (
+            self.recipe.validated_step,
+            [refusal for refusal in self._refusals if refusal],
+        )
         measures = "PSNR (dB) and SSIM, means of whole views, single instants"
         if step > 1:
             measures = f"PSNR (dB) of one pixel in {step} x {step}; means of single instants"
-        left_out = f"; without {len(refusals)} of them, as the method cannot render such views: {refusals[0]}" if refusals else ""
+        left_out = (
+            f"; without {len(refusals)} of them, as the method cannot render such views: "
+            f"{refusals[0]}"
+            if refusals
+            else ""
+        )
         return f"{measures}: {self.validation.data}{left_out}."
 
     @property
@@ -131,8 +148,9 @@ class BaselineTask:
         """Draw the crops of a step.
 
         Returns:
-            ``samples``: numbers, (B,). ``places``: of the windows, as shares of the room that each sample leaves to its right
-            and below, (B, 2), in [0, 1). ``colours``: their order, (B, 3). ``step``: its number, ().
+            ``samples``: numbers, (B,). ``places``: of the windows, as shares of the room that each
+            sample leaves to its right and below, (B, 2), in [0, 1). ``colours``: their order, (B,
+            3). ``step``: its number, ().
         """
         rng = np.random.default_rng([self.recipe.seed, step])
         draws = {
@@ -143,33 +161,57 @@ class BaselineTask:
         }
         return {name: torch.as_tensor(values) for name, values in draws.items()}
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
-        """Return the mean over the crops; ``passed_over`` counts the views that a crop skipped, see `_crop_loss`."""
+    def loss(
+        self, network: nn.Module, batch: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Mapping[str, float]]:
+        """Return the mean over the crops.
+
+        ``passed_over`` counts the views that a crop skipped, see `_crop_loss`.
+        """
         network.train()
         if self.has_statistics:
             freeze_statistics(network)
         losses, figures = [], []
-        for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
+        for number, place, order in zip(
+            *(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True
+        ):
             loss, terms = self._crop_loss(network, number, place, order, int(batch["step"]))
             losses.append(loss)
             figures.append({name: float(term.detach()) for name, term in terms.items()})
-        means = {name: sum(figure[name] for figure in figures) / len(figures) for name in figures[0]}
+        means = {
+            name: sum(figure[name] for figure in figures) / len(figures) for name in figures[0]
+        }
         return torch.stack(losses).mean(), means
 
     def _crop_loss(
-        self, network: nn.Module, number: int, place: Sequence[float], order: Sequence[int], step: int
+        self,
+        network: nn.Module,
+        number: int,
+        place: Sequence[float],
+        order: Sequence[int],
+        step: int,
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Loss of the window at a place of a sample, or of the next one that the method can render and that shows something."""
+        """Loss of the window at a place of a sample, or of the next one that the method can render
+        and that shows something.
+        """
         refusal = None
         for passed_over in range(len(self.training)):
-            sample = self._crop(self.training.read((number + passed_over) % len(self.training)), place).focused()
+            sample = self._crop(
+                self.training.read((number + passed_over) % len(self.training)), place
+            ).focused()
             refusal = self.recipe.refusal(sample.instant)
             if refusal is None:
-                loss, terms = self.recipe.sample_loss(network, sample.recoloured(tuple(order)), step)
-                if loss.requires_grad:  # as it does not where no source has depth of what the window shows
+                loss, terms = self.recipe.sample_loss(
+                    network, sample.recoloured(tuple(order)), step
+                )
+                # as it does not where no source has depth of what the window shows
+                if loss.requires_grad:
                     return loss, {**terms, "passed_over": torch.tensor(float(passed_over))}
         reason = refusal or "no source has depth in these views"
-        raise TrainingError(f"{self.name}: wanted training views, got none that it can render: {reason}; give others")
+        raise TrainingError(
+            f"{self.name}: wanted training views, got none that it can render: {reason}; give "
+            f"others"
+        )
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
         """Return the window at a place of a sample, regardless of the sample's size."""
@@ -181,15 +223,24 @@ class BaselineTask:
     @cached_property
     def _refusals(self) -> list[str | None]:
         """Of each validation view why the method cannot render it, None if it can."""
-        return [self.recipe.refusal(self.validation.read(index).instant) for index in range(len(self.validation))]
+        return [
+            self.recipe.refusal(self.validation.read(index).instant)
+            for index in range(len(self.validation))
+        ]
 
     def settle(self, network: nn.Module) -> None:
         """Compute running statistics anew, over whole views of all parts of the training data."""
         if not self.has_statistics:
             count = min(STATISTICS_VIEWS, len(self.training))
-            samples = (self.training.read(number * len(self.training) // count) for number in range(count))
-            instants = (sample.instant for sample in samples if self.recipe.refusal(sample.instant) is None)
-            recompute_statistics(network, (partial(self._render, instant=instant) for instant in instants))
+            samples = (
+                self.training.read(number * len(self.training) // count) for number in range(count)
+            )
+            instants = (
+                sample.instant for sample in samples if self.recipe.refusal(sample.instant) is None
+            )
+            recompute_statistics(
+                network, (partial(self._render, instant=instant) for instant in instants)
+            )
 
     def _render(self, network: nn.Module, instant: Instant) -> Tensor:
         return self.recipe.validated_view(network, instant)
@@ -204,11 +255,17 @@ class BaselineTask:
                 view = self.recipe.validated_view(network, sample.instant).float()
             scores.append(self._scores(view.permute(1, 2, 0).numpy(force=True), sample.truth))
         if not scores:
-            raise TrainingError(f"{self.name}: wanted validation views, got none that it can render: {self._refusals[0]}")
+            raise TrainingError(
+                f"{self.name}: wanted validation views, got none that it can render: "
+                f"{self._refusals[0]}"
+            )
         return {name: sum(score[name] for score in scores) / len(scores) for name in scores[0]}
 
     def _scores(self, view: Map, truth: Image8) -> dict[str, float]:
-        """Return a whole view as an evaluation would measure it; pixels without their neighbours have no SSIM."""
+        """Return a whole view as an evaluation would measure it.
+
+        Pixels without their neighbours have no SSIM.
+        """
         step = self.recipe.validated_step
         if step > 1:
             return {"psnr_db": psnr(view, truth[::step, ::step] / np.float32(255))}
@@ -217,7 +274,8 @@ class BaselineTask:
 
 
 CACHE = "blend-samples"  # next to the folders of the trainings
-WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
+# of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
+WORKER_BYTES = 2**30
 
 
 def train_one(name: str, folder: Path, request: TrainingOptions) -> tuple[Path, Path]:
@@ -229,7 +287,8 @@ def train_one(name: str, folder: Path, request: TrainingOptions) -> tuple[Path, 
     Returns:
         The file of the weights, and the card.
     """
-    hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
+    # what is missing shows before anything is rendered
+    hardware = describe_device(compute_device(request.device))
     task = planned_task(name, folder.parent / CACHE, request)
     weights = train(task, folder, request)
     command = " ".join(["ggvs-eval train", name, folder.name, *request.card_words(name)])
@@ -239,26 +298,43 @@ def train_one(name: str, folder: Path, request: TrainingOptions) -> tuple[Path, 
 def planned_task(name: str, cache: Path, request: TrainingOptions) -> Task:
     """Return the task that is asked for, its samples in place."""
     if name == "stereo":
-        return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
+        return StereoTask(
+            seed=request.seed,
+            schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING,
+        )
     is_trained = request.start_from is not None
     if name != "blend":
-        baseline = baseline_task(name, cache, request, request.configuration, request.seed, is_trained, request.crop)
+        baseline = baseline_task(
+            name, cache, request, request.configuration, request.seed, is_trained, request.crop
+        )
         prepare_samples(baseline.training, baseline.validation, usable_cpus())
         return baseline
-    config, device = BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
+    config, device = (
+        BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]),
+        sample_device(request),
+    )
     schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
-    blend = BlendTask(*sample_pools(cache, request, BlendKind(device)), config, seed=request.seed, schedule=schedule)
+    blend = BlendTask(
+        *sample_pools(cache, request, BlendKind(device)),
+        config,
+        seed=request.seed,
+        schedule=schedule,
+    )
     prepare_samples(blend.training, blend.validation, sample_workers(device))
     return blend
 
 
 def sample_device(request: TrainingOptions) -> str:
-    """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU."""
+    """Device of the blending network's samples: that of its training if NVIDIA Warp is installed,
+    else on the CPU.
+    """
     return str(compute_device(request.device)) if "training samples" in DEVICE_PARTS else "cpu"
 
 
 def sample_workers(device: str) -> int:
-    """Processes that make samples side by side: one per CPU, but of those that share a GPU no more than its memory holds."""
+    """Processes that make samples side by side: one per CPU, but of those that share a GPU no more
+    than its memory holds.
+    """
     if device.startswith("cuda"):
         return max(min(usable_cpus(), torch.cuda.mem_get_info(device)[0] // WORKER_BYTES), 1)
     return usable_cpus()

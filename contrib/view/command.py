@@ -45,8 +45,10 @@ def view(
         method: rendering method; can be changed in the page.
         k: number of source views; can be changed in the page.
         frames: number of instants, from the first; all by default.
-        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest, by default.
-        host: address; 0.0.0.0 accepts remote connections; they need the printed URL, which has a token.
+        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest,
+            by default.
+        host: address; 0.0.0.0 accepts remote connections; they need the printed URL, which has a
+            token.
         port: port; the next free one if it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
         export: HTML file of cameras and points, which needs no server; then exit.
@@ -67,7 +69,10 @@ def view(
 
     device = checked_device(device)
     online_method(method, device)
-    scene, options = open_source(source, reading, jobs), PlayOptions(k, frames, None, sources)
+    scene, options = (
+        open_source(source, reading, jobs),
+        PlayOptions(k=k, frames=frames, width=None, sources=sources),
+    )
     playback = make_playback(scene, options, depth.options(device), out / "cache", jobs, True)
     protocol = suggest_protocol(scene) if isinstance(scene, Capture) else scene.protocol
     if export is not None:
@@ -75,6 +80,13 @@ def view(
         print(export)
         return
     online = tuple(label for label, spec in METHODS.built_in().items() if spec.online)
-    with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
+    with Viewer(
+        playback=playback,
+        defaults=ViewDefaults(
+            method=method, methods=online, k=k, protocol=protocol, recordings=out
+        ),
+        listener=listener,
+        device=device,
+    ) as viewer:
         print(f"{listener.address} - open it in a browser; Ctrl-C stops the server", flush=True)
         viewer.wait()

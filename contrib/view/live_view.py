@@ -1,6 +1,8 @@
-"""Live view of one viewer: the picture of a pose and an instant by a method, small while something moves, whole at rest.
+"""Live view of one viewer: the picture of a pose and an instant by a method, small while something
+moves, whole at rest.
 
-Frames and depth of a rig are kept in memory, up to a limit, at the sizes at which a live view reads them.
+Frames and depth of a rig are kept in memory, up to a limit, at the sizes at which a live view reads
+them.
 """
 
 from collections.abc import Sequence
@@ -33,7 +35,9 @@ FADED_GREY, MOST_FADED = 128, 0.85
 
 
 class FrameStock:
-    """Cache of what the cameras of a playback see, of at most N pixels; least recently used frames are dropped first.
+    """Cache of what the cameras of a playback see, of at most N pixels.
+
+    Least recently used frames are dropped first.
 
     Where depth is live it is found at that size, when it is asked for.
 
@@ -58,7 +62,11 @@ class FrameStock:
     def _image(self, name: str, instant: int) -> Image8:
         """Return the frame of one camera at one instant, (H, W, 3)."""
         image, size = self._playback.capture.frame(name, instant), self._sizes[name]
-        return image if size == image.shape[1::-1] else cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+        return (
+            image
+            if size == image.shape[1::-1]
+            else cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+        )
 
     def _read(self, name: str, instant: int) -> tuple[Image8, DepthMap]:
         """Return the frame and the depth of one camera at one instant, (H, W, 3) and (H, W)."""
@@ -72,7 +80,8 @@ class FrameStock:
             return image, depth_map
         # Depths of two surfaces must not be mixed: a mean would be on neither.
         depth, confidence = (
-            cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT) for values in (depth_map.depth, depth_map.confidence)
+            cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT)
+            for values in (depth_map.depth, depth_map.confidence)
         )
         return image, DepthMap(depth, confidence)
 
@@ -82,7 +91,15 @@ def fitted(camera: Camera, pixels: int) -> Camera:
 
     Examples:
         >>> import numpy as np
-        >>> camera = Camera("cam00", np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]), np.eye(4), 8, 6, near=1.0, far=9.0)
+        >>> camera = Camera(
+        ...     "cam00",
+        ...     np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]),
+        ...     np.eye(4),
+        ...     8,
+        ...     6,
+        ...     near=1.0,
+        ...     far=9.0,
+        ... )
         >>> fitted(camera, 12).size, fitted(camera, 100).size
         ((4, 3), (8, 6))
     """
@@ -97,7 +114,8 @@ class ViewRequest:
     Attributes:
         pose: the virtual camera, at the size of the viewer's window.
         instant: frame number of the capture.
-        methods: label of the method; of two, the first left of the divider and the second right of it.
+        methods: label of the method; of two, the first left of the divider and the second right of
+            it.
         layer: the picture, or what the method decided on the way to it.
         divider: where the two meet, share of the width.
     """
@@ -116,7 +134,8 @@ class Picture:
 
     Attributes:
         image: (H, W, 3), RGB uint8.
-        seconds: of each stage of each method: label -> stage -> seconds, with the whole step as ``step``.
+        seconds: of each stage of each method: label -> stage -> seconds, with the whole step as
+            ``step``.
         sources: names of the source cameras of the first method, nearest first.
         seen_share: share of the view that the cameras see, see `seen_share`.
         known_depth: share of the sources' pixels of which the depth is known.
@@ -135,11 +154,16 @@ class Picture:
 
     @property
     def faded(self) -> Image8:
-        """The image as it is inside of what the cameras see; outside of it grey, the more so the farther."""
+        """The image as it is inside of what the cameras see.
+
+        Outside of it grey, the more so the farther.
+        """
         if not self.is_outside:
             return self.image
         share = MOST_FADED * (1 - self.seen_share / LEAST_SEEN)
-        return cv2.addWeighted(self.image, 1 - share, np.full_like(self.image, FADED_GREY), share, 0).astype(np.uint8)
+        return cv2.addWeighted(
+            self.image, 1 - share, np.full_like(self.image, FADED_GREY), share, 0
+        ).astype(np.uint8)
 
 
 @dataclass
@@ -154,8 +178,9 @@ class _Running:
 class LiveView:
     """Pictures of one size for one viewer, each method with its history.
 
-    A method sees instants as they come: the same one again while time is static, the next one while it plays. It begins anew
-    after any other jump in time, since it would take what it remembers for the instant before.
+    A method sees instants as they come: the same one again while time is static, the next one while
+    it plays. It begins anew after any other jump in time, since it would take what it remembers for
+    the instant before.
 
     Attributes:
         pixels: of a picture, at most.
@@ -172,7 +197,9 @@ class LiveView:
     def picture(self, request: ViewRequest) -> Picture:
         """Synthesise the picture of a request."""
         target = fitted(request.pose, self.pixels)
-        self._running = {label: method for label, method in self._running.items() if label in request.methods}
+        self._running = {
+            label: method for label, method in self._running.items() if label in request.methods
+        }
         seconds: dict[str, dict[str, float]] = {}
         images = []
         for label in request.methods:
@@ -186,7 +213,13 @@ class LiveView:
         if self.stock.live is None:
             depths = [self.stock.read(name, request.instant)[1].depth for name in names]
             known_share = float(np.mean([(depth > 0).mean() for depth in depths]))
-        return Picture(divided(images, request.divider), seconds, names, seen_share(target, self.stock.cameras), known_share)
+        return Picture(
+            image=divided(images, request.divider),
+            seconds=seconds,
+            sources=names,
+            seen_share=seen_share(target, self.stock.cameras),
+            known_depth=known_share,
+        )
 
     def restart(self) -> None:
         """Forget the methods' history."""
@@ -195,15 +228,26 @@ class LiveView:
     def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:
         if label not in self._running:
             made_by = (label, self.device, self.sources, self.stock.live or LIVE_MATCHER)
-            self._running[label] = _Running(OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, *made_by))
+            self._running[label] = _Running(
+                OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, *made_by)
+            )
         running = self._running[label]
-        if running.instant is not None and request.instant not in (running.instant, running.instant + 1):
+        if running.instant is not None and request.instant not in (
+            running.instant,
+            running.instant + 1,
+        ):
             running.synthesizer.restart()
         running.synthesizer.k, running.instant = request.k, request.instant
         if self.stock.live is not None:
-            images = {name: self.stock.image(name, request.instant) for name in running.synthesizer.needed(target)}
+            images = {
+                name: self.stock.image(name, request.instant)
+                for name in running.synthesizer.needed(target)
+            }
             return running.synthesizer.step(images, None, target)
-        frames = {camera.name: self.stock.read(camera.name, request.instant) for camera in running.synthesizer.sources(target)}
+        frames = {
+            camera.name: self.stock.read(camera.name, request.instant)
+            for camera in running.synthesizer.sources(target)
+        }
         images = {name: image for name, (image, _) in frames.items()}
         depths = {name: depth for name, (_, depth) in frames.items()}
         return running.synthesizer.step(images, depths, target)
@@ -218,7 +262,11 @@ def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) 
         maps["depth"] = rendering.depth
     if layer not in maps:
         raise RenderError(f"{label} has no {layer}; choose {', '.join(['picture', *sorted(maps)])}")
-    return cv2.resize(diagnostics_picture(layer, maps[layer], target), target.size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return cv2.resize(
+        diagnostics_picture(layer, maps[layer], target),
+        target.size,
+        interpolation=cv2.INTER_NEAREST_EXACT,
+    )
 
 
 def divided(images: Sequence[Image8], share: float) -> Image8:
@@ -233,7 +281,8 @@ def divided(images: Sequence[Image8], share: float) -> Image8:
 
 
 def recorded_pose(request: ViewRequest, view: Camera, index: int) -> Camera:
-    """Return the pose of a request as a camera of a rig's own size and depth range, called ``pose0000``, ...
+    """Return the pose of a request as a camera of a rig's own size and depth range, called
+    ``pose0000``, ...
 
     The vertical field of view is kept; a window of another shape shows more or less at the sides.
     """

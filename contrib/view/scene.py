@@ -1,4 +1,6 @@
-"""Scene around the picture in the browser: the cameras of the rig as frusta, and the points that depth says are there."""
+"""Scene around the picture in the browser: the cameras of the rig as frusta, and the points that
+depth says are there.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -36,7 +38,10 @@ def camera_orientation(camera: Camera) -> Array:
 
 
 def gazed_depth(stock: FrameStock, instant: int) -> float:
-    """Return the median depth that the middle camera sees, world units; the middle of its range where nothing is known."""
+    """Return the median depth that the middle camera sees, world units.
+
+    The middle of its range where nothing is known.
+    """
     camera = middle_camera(stock.cameras)
     depth = stock.read(camera.name, instant)[1].depth
     depths = depth[depth > 0]
@@ -50,23 +55,32 @@ def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Arr
         Points in the world (N, 3) and their colours (N, 3), RGB uint8.
     """
     frames = {camera.name: stock.read(camera.name, instant) for camera in stock.cameras}
-    step = max(int(np.ceil((sum(depth_map.depth.size for _, depth_map in frames.values()) / most) ** 0.5)), 1)
+    step = max(
+        int(np.ceil((sum(depth_map.depth.size for _, depth_map in frames.values()) / most) ** 0.5)),
+        1,
+    )
     points, colours = [], []
     for camera in stock.cameras:
         image, depth_map = frames[camera.name]
         cells = np.s_[step // 2 :: step, step // 2 :: step]
         depth = depth_map.depth[cells]
         usable = depth > 0
-        points.append(camera.unproject(camera.pixel_centres()[cells][usable], depth[usable].astype(np.float64)))
+        points.append(
+            camera.unproject(
+                camera.pixel_centres()[cells][usable], depth[usable].astype(np.float64)
+            )
+        )
         colours.append(image[cells][usable])
     return np.concatenate(points), np.concatenate(colours)
 
 
 class Leash:
-    """Keeps a virtual camera near the rig: where it stands farther away it is taken to the nearest place within reach.
+    """Keeps a virtual camera near the rig: where it stands farther away it is taken to the nearest
+    place within reach.
 
     Attributes:
-        reach: from the nearest camera of the rig, world units: half of the rig's width or a third of what it looks at.
+        reach: from the nearest camera of the rig, world units: half of the rig's width or a third
+            of what it looks at.
     """
 
     def __init__(self, cameras: Sequence[Camera], gazed: float) -> None:
@@ -81,11 +95,16 @@ class Leash:
         nearest = int(np.argmin(distances))
         if distances[nearest] <= self.reach:
             return place
-        return np.asarray(self._centres[nearest] + away[nearest] * (self.reach / distances[nearest]))
+        return np.asarray(
+            self._centres[nearest] + away[nearest] * (self.reach / distances[nearest])
+        )
 
 
 class Frusta:
-    """The cameras of a rig; the one at the viewer's position would frame the picture and is hidden."""
+    """The cameras of a rig.
+
+    The one at the viewer's position would frame the picture and is hidden.
+    """
 
     def __init__(self, scene: "viser.SceneApi", cameras: Sequence[Camera]) -> None:
         centres = np.stack([camera.centre for camera in cameras])
@@ -113,8 +132,12 @@ class Frusta:
         )
 
 
-def add_cloud(scene: "viser.SceneApi", stock: FrameStock, instant: int, name: str = "/points") -> "viser.PointCloudHandle":
+def add_cloud(
+    scene: "viser.SceneApi", stock: FrameStock, instant: int, name: str = "/points"
+) -> "viser.PointCloudHandle":
     """Draw the points of an instant."""
     points, colours = cloud(stock, instant)
     size = POINT_SHARE * gazed_depth(stock, instant)
-    return scene.add_point_cloud(name, points.astype(np.float32), colours, point_size=size, point_shape="square")
+    return scene.add_point_cloud(
+        name, points.astype(np.float32), colours, point_size=size, point_shape="square"
+    )

@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, Picture, ViewRequest
-from ggvs_eval.contrib.view.scene import Frusta, Leash, add_cloud, camera_orientation, gazed_depth, middle_camera
+from ggvs_eval.contrib.view.scene import (
+    Frusta,
+    Leash,
+    add_cloud,
+    camera_orientation,
+    gazed_depth,
+    middle_camera,
+)
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import SEEN_FROM_DEG
@@ -64,35 +71,54 @@ class Recording:
             self.requests.append(request)
 
     def write_video(self) -> str:
-        """Render the path again at the rig's size, by the method that was shown last, into an MP4 file; says which."""
+        """Render the path again at the rig's size, by the method that was shown last, into an MP4
+        file; says which.
+        """
         poses, last = self._poses(), self.requests[-1]
         instants = [request.instant for request in self.requests]
         path = self._free_name(".mp4")
-        record(replace(self.playback, poses=poses, instants=instants, k=last.k), path, last.methods[0], self.device)
+        record(
+            replace(self.playback, poses=poses, instants=instants, k=last.k),
+            path,
+            last.methods[0],
+            self.device,
+        )
         return f"{len(poses)} frames by {last.methods[0]} in {path}"
 
     def write_protocol(self) -> str:
         """Write the protocol with the recorded path; says how it is run.
 
         Reading:
-            A protocol's path is walked at one instant, so that its epipolar plane images show the method's contradictions alone;
-            that instant is the one at which the recording began.
+            A protocol's path is walked at one instant, so that its epipolar plane images show the
+            method's contradictions alone; that instant is the one at which the recording began.
         """
         poses = self._poses()
         if len(poses) < 2:
-            raise RenderError("a protocol's path wants at least 2 poses, 1 was recorded; move the camera while recording")
+            raise RenderError(
+                "a protocol's path wants at least 2 poses, 1 was recorded; move the camera while "
+                "recording"
+            )
         path = self._free_name(".toml")
-        cameras = tuple(build_table(PathCamera, pose.to_json(), str(path), "path.cameras.", ProtocolError) for pose in poses)
+        cameras = tuple(
+            build_table(PathCamera, pose.to_json(), str(path), "path.cameras.", ProtocolError)
+            for pose in poses
+        )
         path_of_poses = CameraPath(len(poses), cameras, self.requests[0].instant)
         write_text(path, replace(self.protocol, path=path_of_poses).to_toml())
         return (
-            f"{len(poses)} poses; evaluate them by `ggvs-eval run OUT --capture {self.playback.capture.path} --protocol {path}`"
+            f"{len(poses)} poses; evaluate them by `ggvs-eval run OUT --capture "
+            f"{self.playback.capture.path} --protocol {path}`"
         )
 
     def _poses(self) -> list[Camera]:
         if not self.requests:
-            raise RenderError("wanted a recorded path, got none; press record, move the camera or let time play, and press stop")
-        return [recorded_pose(request, self.view, index) for index, request in enumerate(self.requests)]
+            raise RenderError(
+                "wanted a recorded path, got none; press record, move the camera or let time play, "
+                "and press stop"
+            )
+        return [
+            recorded_pose(request, self.view, index) for index, request in enumerate(self.requests)
+        ]
 
     def _free_name(self, ending: str) -> Path:
         """Return the first name in the folder that no file has."""
@@ -106,10 +132,11 @@ MOST_SOURCES = 8
 JPEG_QUALITY = 85
 FIRST = "rendering the first frame ..."
 OUTSIDE = (
-    f"**outside the cameras' coverage**: {{:.0%}} of this view is covered from within {SEEN_FROM_DEG:g} degrees, the rest is "
-    "extrapolated; press *reset view*"
+    "**outside the cameras' coverage**: {:.0%} of this view is covered from within "
+    f"{SEEN_FROM_DEG:g} degrees, the rest is extrapolated; press *reset view*"
 )
-LITTLE_DEPTH = 0.5  # of the sources' pixels, below which the window notes that most of the picture is based on little
+# of the sources' pixels, below which the window notes that most of the picture is based on little
+LITTLE_DEPTH = 0.5
 REST_SECONDS = 0.25  # without a change, before the picture is made at full size
 RATE_SECONDS = 2.0  # over which pictures per second are counted
 
@@ -131,9 +158,11 @@ class ViewDefaults:
 
 
 class Session:
-    """A browser window and the two views behind it: a small one that keeps up, and a whole one for a camera at rest.
+    """A browser window and the two views behind it: a small one that keeps up, and a whole one for
+    a camera at rest.
 
-    The viewer calls `advance` again and again on one thread, `refine` on another; the browser's messages arrive on more.
+    The viewer calls `advance` again and again on one thread, `refine` on another; the browser's
+    messages arrive on more.
 
     Args:
         pixels: of a small picture, at most.
@@ -149,13 +178,36 @@ class Session:
         device: str,
         changed: Callable[[], None],
     ) -> None:
-        self.client, self._playback, self._stocks, self._changed_callback = client, playback, stocks, changed
+        self.client, self._playback, self._stocks, self._changed_callback = (
+            client,
+            playback,
+            stocks,
+            changed,
+        )
         small, full = stocks
         units = playback.capture.units_per_metre
-        self._moving = LiveView(small, units, pixels, device, playback.sources)
+        self._moving = LiveView(
+            stock=small,
+            units_per_metre=units,
+            pixels=pixels,
+            device=device,
+            sources=playback.sources,
+        )
         view = middle_camera(full.cameras)
-        self._whole = LiveView(full, units, view.width * view.height, device, playback.sources)
-        self.recording = Recording(playback, view, defaults.protocol, defaults.recordings, device)
+        self._whole = LiveView(
+            stock=full,
+            units_per_metre=units,
+            pixels=view.width * view.height,
+            device=device,
+            sources=playback.sources,
+        )
+        self.recording = Recording(
+            playback=playback,
+            view=view,
+            protocol=defaults.protocol,
+            folder=defaults.recordings,
+            device=device,
+        )
         self._lock = threading.Lock()
         self._version, self._shown_version, self._refined_version = 1, 0, 0
         self._changed_at = monotonic()
@@ -180,7 +232,9 @@ class Session:
     def advance(self) -> bool:
         """Send the next small picture if one is due; whether there was one."""
         if self._play.value and monotonic() >= self._next_instant_at:
-            self._next_instant_at = max(self._next_instant_at + 1 / (self._playback.capture.fps or 30.0), monotonic() - 0.1)
+            self._next_instant_at = max(
+                self._next_instant_at + 1 / (self._playback.capture.fps or 30.0), monotonic() - 0.1
+            )
             instants = sorted(set(self._playback.instants))
             following = instants[(instants.index(int(self._time.value)) + 1) % len(instants)]
             self._time.value = following  # type: ignore[misc]  # its setter is too far from its getter for mypy
@@ -198,7 +252,9 @@ class Session:
         return True
 
     def rests(self) -> bool:
-        """Return whether nothing has changed for a while, and the whole picture has not been made yet."""
+        """Return whether nothing has changed for a while, and the whole picture has not been made
+        yet.
+        """
         with self._lock:
             rested = monotonic() - self._changed_at >= REST_SECONDS
             return rested and self._shown_version == self._version != self._refined_version
@@ -221,7 +277,10 @@ class Session:
         self._status.content = f"**{reason}**"
 
     def _come_back(self) -> None:
-        """Take the window's camera along where it was dragged out of reach, once it rests; the picture stays the one it has."""
+        """Take the window's camera along where it was dragged out of reach, once it rests.
+
+        The picture stays the one it has.
+        """
         place = np.asarray(self.client.camera.position)
         within = self._leash.keep(place)
         if np.array_equal(within, place):
@@ -233,7 +292,14 @@ class Session:
         label = self._label.value.strip() or self._method.value
         methods = (label,) if self._other.value == NOTHING else (label, self._other.value)
         instant, k = int(self._time.value), int(self._k.value)
-        return ViewRequest(self._pose(), instant, methods, k, self._layer.value, float(self._divider.value))
+        return ViewRequest(
+            pose=self._pose(),
+            instant=instant,
+            methods=methods,
+            k=k,
+            layer=self._layer.value,
+            divider=float(self._divider.value),
+        )
 
     def _pose(self) -> Camera:
         """Return the window's camera; square pixels, the principal point in the middle."""
@@ -243,9 +309,13 @@ class Session:
         focal = height / (2 * np.tan(state.fov / 2))
         world_to_camera = np.eye(4)
         world_to_camera[:3, :3] = Rotation.from_quat(state.wxyz, scalar_first=True).as_matrix().T
-        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ self._leash.keep(np.asarray(state.position))
+        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ self._leash.keep(
+            np.asarray(state.position)
+        )
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        return replace(view, name="view", K=K, world_to_camera=world_to_camera, width=width, height=height)
+        return replace(
+            view, name="view", K=K, world_to_camera=world_to_camera, width=width, height=height
+        )
 
     def _attempt(self, view: LiveView, request: ViewRequest) -> Picture | None:
         """Return the picture, or a message in the page that says why there is none."""
@@ -257,35 +327,63 @@ class Session:
         return picture
 
     def _send(self, picture: Picture) -> None:
-        self.client.scene.set_background_image(picture.faded, format="jpeg", jpeg_quality=JPEG_QUALITY)
+        self.client.scene.set_background_image(
+            picture.faded, format="jpeg", jpeg_quality=JPEG_QUALITY
+        )
         time_s = monotonic()
         self._sent = [at for at in self._sent if at > time_s - RATE_SECONDS] + [time_s]
         self._status.content = status_text(picture, len(self._sent) / RATE_SECONDS)
 
     def _add_controls(self, defaults: ViewDefaults) -> None:
         gui, playback = self.client.gui, self._playback
-        instants, names = sorted(set(playback.instants)), [camera.name for camera in playback.capture.cameras]
-        gui.add_button("reset view", hint="back to the initial view (key: R)").on_click(lambda _: self._reset())
+        instants, names = (
+            sorted(set(playback.instants)),
+            [camera.name for camera in playback.capture.cameras],
+        )
+        gui.add_button("reset view", hint="back to the initial view (key: R)").on_click(
+            lambda _: self._reset()
+        )
         gui.add_command("reset view", hotkey="R").on_trigger(lambda _: self._reset())
         with gui.add_folder("Method"):
-            self._method = gui.add_dropdown("method", tuple(defaults.methods), initial_value=defaults.method)
-            self._label = gui.add_text("or by label", "", hint="any label, with options: ours+tau_m=0.05")
-            self._k = gui.add_slider("K", 1, max(min(MOST_SOURCES, len(names)), defaults.k), 1, defaults.k, hint="source views")
+            self._method = gui.add_dropdown(
+                "method", tuple(defaults.methods), initial_value=defaults.method
+            )
+            self._label = gui.add_text(
+                "or by label", "", hint="any label, with options: ours+tau_m=0.05"
+            )
+            self._k = gui.add_slider(
+                "K",
+                1,
+                max(min(MOST_SOURCES, len(names)), defaults.k),
+                1,
+                defaults.k,
+                hint="source views",
+            )
             self._layer = gui.add_dropdown("show", LAYERS)
             self._other = gui.add_dropdown("compare with", (NOTHING, *defaults.methods))
             self._divider = gui.add_slider("divider", 0.0, 1.0, 0.01, 0.5)
         with gui.add_folder("Time"):
             self._play = gui.add_checkbox("play", initial_value=False, disabled=len(instants) == 1)
             self._time = gui.add_slider(
-                "instant", instants[0], max(instants[-1], instants[0] + 1), 1, instants[0], disabled=len(instants) == 1
+                "instant",
+                instants[0],
+                max(instants[-1], instants[0] + 1),
+                1,
+                instants[0],
+                disabled=len(instants) == 1,
             )
         with gui.add_folder("Scene"):
             self._go_to = gui.add_dropdown("go to camera", (NOTHING, *names))
-            self._cameras = gui.add_checkbox("cameras", initial_value=True, hint="click one to go there")
-            self._points = gui.add_checkbox("points", initial_value=False, hint="surface points from depth")
+            self._cameras = gui.add_checkbox(
+                "cameras", initial_value=True, hint="click one to go there"
+            )
+            self._points = gui.add_checkbox(
+                "points", initial_value=False, hint="surface points from depth"
+            )
         self._add_recording(gui)
         with gui.add_folder("Latency"):
-            self._status = gui.add_markdown(FIRST)  # the last of all: it grows without moving a control
+            # the last of all: it grows without moving a control
+            self._status = gui.add_markdown(FIRST)
         method = (self._method, self._label, self._k, self._layer, self._other, self._divider)
         for control in (*method, self._time, self._play, self._cameras):
             control.on_update(self.change)
@@ -337,7 +435,10 @@ class Session:
 
 
 def status_text(picture: Picture, rate: float) -> str:
-    """Pictures per second, size, source cameras and milliseconds of each stage, as Markdown; outside of the rig that alone."""
+    """Pictures per second, size, source cameras and milliseconds of each stage, as Markdown.
+
+    Outside of the rig that alone.
+    """
     if picture.is_outside:
         return OUTSIDE.format(picture.seen_share)
     height, width = picture.image.shape[:2]

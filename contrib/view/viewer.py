@@ -1,8 +1,10 @@
-"""The viewer's server: a page for every browser window that opens, and two threads that make their pictures.
+"""The viewer's server: a page for every browser window that opens, and two threads that make their
+pictures.
 
 Its socket accepts requests that know the token, from the viewer's own page.
 
-`viser` serves the page, draws the scene and reports the camera's pose; the pictures are behind its scene as a background.
+`viser` serves the page, draws the scene and reports the camera's pose; the pictures are behind its
+scene as a background.
 """
 
 import contextlib
@@ -45,7 +47,8 @@ if TYPE_CHECKING:
 
 PORTS_TRIED = 100
 MISSING = "view: wanted the package viser, got none; run `pip install 'ggvs-eval[view]'`"
-# No packet is sent there (RFC 5737): the route that one would take says by which address others reach this machine.
+# No packet is sent there (RFC 5737): the route that one would take says by which address others
+# reach this machine.
 ELSEWHERE = ("192.0.2.1", 9)
 HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
 MOVING_PIXELS = 640 * 360
@@ -53,11 +56,13 @@ IDLE_SECONDS = 0.02  # between looks at the clock while time plays or a camera c
 
 
 class Listener:
-    """A socket that listens already, so that an impossible address shows before anything is computed.
+    """A socket that listens already, so that an impossible address shows before anything is
+    computed.
 
-    A page of another site can make a browser talk to this machine, and other users of it can connect. Both lack the token, a
-    random part of the address. In addition, a browser's page must be the viewer's (Origin), and called by an address or a name
-    that is known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
+    A page of another site can make a browser talk to this machine, and other users of it can
+    connect. Both lack the token, a random part of the address. In addition, a browser's page must
+    be the viewer's (Origin), and called by an address or a name that is known to be this machine's
+    (Host): a foreign name may have been pointed here (DNS rebinding).
 
     Args:
         host: address or name to listen at; 0.0.0.0 accepts remote connections.
@@ -68,7 +73,9 @@ class Listener:
         self.socket = _listening(host, port)
         self._host, self._token = host, secrets.token_urlsafe(24)
         self._is_open_to_all = ipaddress.ip_address(self.socket.getsockname()[0]).is_unspecified
-        self._names = {host.lower(), "localhost"} | ({socket.gethostname().lower()} if self._is_open_to_all else set())
+        self._names = {host.lower(), "localhost"} | (
+            {socket.gethostname().lower()} if self._is_open_to_all else set()
+        )
 
     @property
     def port(self) -> int:
@@ -88,12 +95,16 @@ class Listener:
             return "unknown host name; use this machine's address, or localhost"
         if any(origin.partition("://")[2].lower() != hosts[0].lower() for origin in origins):
             return "request from another site"
-        if not secrets.compare_digest(_first_part(request.path).encode(errors="replace"), self._token.encode()):
+        if not secrets.compare_digest(
+            _first_part(request.path).encode(errors="replace"), self._token.encode()
+        ):
             return "open the full printed address, including the token"
         return ""
 
     def _is_own(self, host: str) -> bool:
-        """Return whether the Host of a request is a name of this machine or a bare address, which no DNS can redirect."""
+        """Return whether the Host of a request is a name of this machine or a bare address, which
+        no DNS can redirect.
+        """
         with suppress(ValueError):
             name = urlsplit(f"//{host}").hostname or ""
             return name in self._names or ipaddress.ip_address(name) is not None
@@ -106,8 +117,11 @@ def require_viser() -> None:
         raise CommandError(MISSING)
 
 
-def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) -> "viser.ViserServer":
-    """Start a server of viser that listens at the given socket, and asks the listener about every request.
+def start_guarded(
+    listener: Listener, start: Callable[[], "viser.ViserServer"]
+) -> "viser.ViserServer":
+    """Start a server of viser that listens at the given socket, and asks the listener about every
+    request.
 
     Raises:
         CommandError: it was started in another way, and would let anyone in; it is stopped again.
@@ -116,10 +130,17 @@ def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) 
 
     serve, is_guarded = server.serve, False
 
-    def serve_guarded(handler: Any, _host: str, _port: int, *, process_request: Any, **options: Any) -> Any:
+    def serve_guarded(
+        handler: Any, _host: str, _port: int, *, process_request: Any, **options: Any
+    ) -> Any:
         nonlocal is_guarded
         is_guarded = True
-        return serve(handler, sock=listener.socket, process_request=_asking(listener, process_request), **options)
+        return serve(
+            handler,
+            sock=listener.socket,
+            process_request=_asking(listener, process_request),
+            **options,
+        )
 
     server.serve = serve_guarded  # type: ignore[misc, assignment]  # viser has no other hook
     try:
@@ -128,7 +149,9 @@ def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) 
         server.serve = serve  # type: ignore[misc]
     if not is_guarded:
         started.stop()
-        raise CommandError("wanted a supported version of viser, got another; run `pip install 'ggvs-eval[view]'`")
+        raise CommandError(
+            "wanted a supported version of viser, got another; run `pip install 'ggvs-eval[view]'`"
+        )
     return started
 
 
@@ -168,8 +191,8 @@ def _listening(host: str, port: int) -> socket.socket:
         code = error.errno if isinstance(error, OSError) else None
         reason = os.strerror(code) if code and code > 0 else error
         raise CommandError(
-            f"--host {host} --port {port}: cannot listen there ({reason}); use an address of this machine, such as "
-            "127.0.0.1, and a free port from 1024 to 65535"
+            f"--host {host} --port {port}: cannot listen there ({reason}); use an address of this "
+            "machine, such as 127.0.0.1, and a free port from 1024 to 65535"
         ) from error
 
 
@@ -184,7 +207,10 @@ def _first_free(address: str, port: int, family: int) -> socket.socket:
 
 
 def _own_address(family: socket.AddressFamily) -> str:
-    """Return the address by which other machines reach this one; the loopback's if there is no way to others."""
+    """Return the address by which other machines reach this one.
+
+    The loopback's if there is no way to others.
+    """
     if family == socket.AF_INET:
         with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
             probe.connect(ELSEWHERE)
@@ -200,7 +226,9 @@ class Viewer:
         listener: where the page is served; its address is the one to open.
     """
 
-    def __init__(self, playback: Playback, defaults: ViewDefaults, listener: Listener, device: str = "cpu") -> None:
+    def __init__(
+        self, playback: Playback, defaults: ViewDefaults, listener: Listener, device: str = "cpu"
+    ) -> None:
         self._playback, self._defaults, self._device = playback, defaults, device
         middle = middle_camera(playback.capture.cameras)
         small_stock = FrameStock(playback, MOVING_PIXELS)
@@ -211,7 +239,10 @@ class Viewer:
         set_camera(self.server, small_stock, playback.instants[0])
         self.server.on_client_connect(self._open_session)
         self.server.on_client_disconnect(self._close_session)
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._advance_all, self._refine_all)]
+        self._threads = [
+            threading.Thread(target=work, daemon=True)
+            for work in (self._advance_all, self._refine_all)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -233,12 +264,25 @@ class Viewer:
         """Return the viewer itself."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Stop."""
         self.stop()
 
     def _open_session(self, client: "viser.ClientHandle") -> None:
-        session = Session(client, self._playback, self._stocks, MOVING_PIXELS, self._defaults, self._device, self._changed.set)
+        session = Session(
+            client=client,
+            playback=self._playback,
+            stocks=self._stocks,
+            pixels=MOVING_PIXELS,
+            defaults=self._defaults,
+            device=self._device,
+            changed=self._changed.set,
+        )
         self._sessions[client.client_id] = session
         session.change()
 
@@ -249,7 +293,9 @@ class Viewer:
         """Give each window its next small picture in turn; wait where no window wants one."""
         while not self._stopped.is_set():
             self._changed.clear()
-            if not any([_attempt(session, session.advance) for session in list(self._sessions.values())]):
+            if not any(
+                [_attempt(session, session.advance) for session in list(self._sessions.values())]
+            ):
                 self._changed.wait(IDLE_SECONDS if self._sessions else None)
 
     def _refine_all(self) -> None:
@@ -261,7 +307,9 @@ class Viewer:
 
 
 def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
-    """Work for one window; what goes wrong is said in it and on the terminal, and the other windows continue."""
+    """Work for one window; what goes wrong is said in it and on the terminal, and the other windows
+    continue.
+    """
     try:
         return bool(work())
     except Exception as error:
@@ -276,11 +324,15 @@ def open_server(listener: Listener) -> "viser.ViserServer":
     import viser
     from viser import _messages
 
-    start = partial(viser.ViserServer, host="127.0.0.1", port=listener.port, label="ggvs-eval", verbose=False)
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; the command says the address in its own words
+    start = partial(
+        viser.ViserServer, host="127.0.0.1", port=listener.port, label="ggvs-eval", verbose=False
+    )
+    # its banner; the command says the address in its own words
+    with contextlib.redirect_stdout(io.StringIO()):
         server = start_guarded(listener, start)
     for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        server._websock_server.unregister_handler(request)  # the button alone would hide, a message would do as before
+        # the button alone would hide, a message would do as before
+        server._websock_server.unregister_handler(request)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server
@@ -297,15 +349,23 @@ def set_camera(server: "viser.ViserServer", stock: FrameStock, instant: int) -> 
     server.initial_camera.near, server.initial_camera.far = camera.near / 100, camera.far * 10
 
 
-def export_page(playback: Playback, instants: Sequence[int], file: Path, listener: Listener, pixels: int = MOVING_PIXELS) -> None:
-    """Write a page that needs no server: the cameras, and the points of each instant, played one after the other.
+def export_page(
+    playback: Playback,
+    instants: Sequence[int],
+    file: Path,
+    listener: Listener,
+    pixels: int = MOVING_PIXELS,
+) -> None:
+    """Write a page that needs no server: the cameras, and the points of each instant, played one
+    after the other.
 
     Args:
         listener: of the server that viser makes the page by, for as long as that takes.
         pixels: of the frames that points are made of, at most.
 
     Reading:
-        The method itself cannot run in a page without a server; what is exported is the scene that it looks at.
+        The method itself cannot run in a page without a server; what is exported is the scene that
+        it looks at.
     """
     from ggvs_eval.files.atomic import write_text
 

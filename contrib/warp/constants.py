@@ -1,4 +1,6 @@
-"""Inputs of a step besides pictures - cameras, weights, flags - as one block of memory that one copy uploads."""
+"""Inputs of a step besides pictures - cameras, weights, flags - as one block of memory that one
+copy uploads.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,24 +47,29 @@ class Remembered:
 
 
 class StepConstants:
-    """The numbers of a step on the host and on the device, by name; the device's tensors stay where they are.
+    """The numbers of a step on the host and on the device, by name.
 
-    Kernels that are recorded read them there, so that one recording serves every camera of the same size.
+    The device's tensors stay where they are.
+
+    Kernels that are recorded read them there, so that one recording serves every camera of the same
+    size.
 
     Attributes:
         pinholes: fx, fy, cx, cy of the sources and of the target, (K + 1, 4), float64.
         small_target: the same of the target at the network's size, (4,), float64.
         gauge: weights by which gains are averaged into the target's, (K,), float64.
         signs: of each pair of sources, -1 if its names are not in order, (P,), float64.
-        lens: largest squared tangent in any picture, and instants that a ratio is the mean of, (2,), float64.
+        lens: largest squared tangent in any picture, and instants that a ratio is the mean of,
+            (2,), float64.
         numbers: `NEAR` and its neighbours, (7,), float32.
-        to_views, from_views: matrices by `pixel_maps` from the target to each source and back, (K + 1, 12), float32; the last is
-            that of the target of the instant before.
+        to_views, from_views: matrices by `pixel_maps` from the target to each source and back, (K +
+            1, 12), float32; the last is that of the target of the instant before.
         projectors: by which Gaussians become ellipses, (K, 22), float32, see `kernels/splat.hpp`.
         transforms: between the sources of each pair, there and back, (2 P, 12), float32.
-        to_pixels, to_cells: from the target's cells to the sources' pixels and to the cells of their masks, (K, 12), float32.
-        weights, distances, axes: geometric weight of each source, its distance from the target and the cosine between their
-            axes, (K,), float32.
+        to_pixels, to_cells: from the target's cells to the sources' pixels and to the cells of
+            their masks, (K, 12), float32.
+        weights, distances, axes: geometric weight of each source, its distance from the target and
+            the cosine between their axes, (K,), float32.
         forgiven: of each source, see `ggvs_eval.geometry.warp.forgiven`, (K, 2), float32.
         centres: of the sources in the target's frame, (K, 3), float32.
         flags: `PAST`, `SHOWN` and `GAINS`: 1 if that memory counts, (3,), int32.
@@ -148,7 +155,14 @@ class StepConstants:
         values["previous"][:] = [_place(camera, before) for camera in cameras]
         values["rows"][:] = rows
         past = target if before is None else before.target
-        values_used = (target, past, *cameras, *(source.share for source in sources), instant.units_per_metre, end)
+        values_used = (
+            target,
+            past,
+            *cameras,
+            *(source.share for source in sources),
+            instant.units_per_metre,
+            end,
+        )
         is_same = len(values_used) == len(self._filled) and all(
             new is old or new == old for new, old in zip(values_used, self._filled, strict=True)
         )
@@ -157,25 +171,53 @@ class StepConstants:
             self._filled = values_used
 
     def _fill_geometry(
-        self, instant: Instant, sources: Sequence[SourceView], options: OnlineOptions, end: float, past: Camera
+        self,
+        instant: Instant,
+        sources: Sequence[SourceView],
+        options: OnlineOptions,
+        end: float,
+        past: Camera,
     ) -> None:
-        target, cameras, values = instant.target, [source.camera for source in sources], self._values
+        target, cameras, values = (
+            instant.target,
+            [source.camera for source in sources],
+            self._values,
+        )
         tau = options.tau_m * instant.units_per_metre
         first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, end))
         noise = 7 * options.depth_noise_m * instant.units_per_metre
-        values["numbers"][:] = target.near, end, tau, SLABS / (last - first), target.far, SAME_SURFACE_TAU * tau, noise
-        pinhole, pinholes = _pinhole(target), np.stack([_pinhole(camera) for camera in (*cameras, past)])
+        values["numbers"][:] = (
+            target.near,
+            end,
+            tau,
+            SLABS / (last - first),
+            target.far,
+            SAME_SURFACE_TAU * tau,
+            noise,
+        )
+        pinhole, pinholes = (
+            _pinhole(target),
+            np.stack([_pinhole(camera) for camera in (*cameras, past)]),
+        )
         values["pinholes"][:-1], values["pinholes"][-1] = pinholes[:-1], pinhole
-        values["small_target"][:] = pinhole / self._sizes.scale  # of a size that the scale divides, by repetition
-        forward, back = _rigid([target] * len(pinholes), [*cameras, past]), _rigid([*cameras, past], [target] * len(pinholes))
+        # of a size that the scale divides, by repetition
+        values["small_target"][:] = pinhole / self._sizes.scale
+        forward, back = (
+            _rigid([target] * len(pinholes), [*cameras, past]),
+            _rigid([*cameras, past], [target] * len(pinholes)),
+        )
         values["to_views"][:] = pixel_maps(forward, pinhole, pinholes)
         values["from_views"][:] = pixel_maps(back, pinholes, pinhole)
-        values["projectors"][:] = _projectors(back[:-1], pinholes[:-1], target, instant.near_plane, options.gaussian_scale_px)
+        values["projectors"][:] = _projectors(
+            back[:-1], pinholes[:-1], target, instant.near_plane, options.gaussian_scale_px
+        )
         middles = _middle_rays(target, pinhole, self._sizes)
         values["to_pixels"][:] = pixel_maps(forward[:-1], middles, pinholes[:-1])
         cells = [
             _resized(pinhole, size, cell)
-            for pinhole, size, cell in zip(pinholes[:-1], self._sizes.views, self._sizes.mask_cells, strict=True)
+            for pinhole, size, cell in zip(
+                pinholes[:-1], self._sizes.views, self._sizes.mask_cells, strict=True
+            )
         ]
         values["to_cells"][:] = pixel_maps(forward[:-1], middles, np.stack(cells))
         pairs = list(combinations(range(len(cameras)), 2))
@@ -183,20 +225,35 @@ class StepConstants:
             ordered = [order for j, k in pairs for order in ((j, k), (k, j))]
             between = _rigid([cameras[j] for j, _ in ordered], [cameras[k] for _, k in ordered])
             values["transforms"][:] = between[:, :3].reshape(len(ordered), 12)
-            values["signs"][:] = [-1.0 if cameras[j].name > cameras[k].name else 1.0 for j, k in pairs]
+            values["signs"][:] = [
+                -1.0 if cameras[j].name > cameras[k].name else 1.0 for j, k in pairs
+            ]
         weights = view_weights(target, cameras, [source.share for source in sources])
         gauge = weights.astype(np.float64) ** compensation.GAUGE_POWER
         values["weights"][:], values["gauge"][:] = weights, gauge / gauge.sum()
-        values["lens"][:] = _corner([target, *cameras]), compensation.MEMORY if options.temporal else 1
+        values["lens"][:] = (
+            _corner([target, *cameras]),
+            compensation.MEMORY if options.temporal else 1,
+        )
         values["centres"][:] = back[:-1, :3, 3]
-        values["distances"][:] = [float(length(camera.centre - target.centre)) for camera in cameras]
-        values["forgiven"][:] = [forgiven(target, camera, options.forgiven_px) for camera in cameras]
+        values["distances"][:] = [
+            float(length(camera.centre - target.centre)) for camera in cameras
+        ]
+        values["forgiven"][:] = [
+            forgiven(target, camera, options.forgiven_px) for camera in cameras
+        ]
         values["axes"][:] = [float(camera.axis @ target.axis) for camera in cameras]
 
 
 def _place(camera: Camera, before: Remembered | None) -> int:
-    """Return the place of a camera in the stacks of the instant before, -1 if it was not there at this size."""
-    named = [view.name == camera.name and view.size == camera.size for view in before.cameras] if before else []
+    """Return the place of a camera in the stacks of the instant before, -1 if it was not there at
+    this size.
+    """
+    named = (
+        [view.name == camera.name and view.size == camera.size for view in before.cameras]
+        if before
+        else []
+    )
     return named.index(True) if True in named else NO_VIEW
 
 
@@ -213,20 +270,30 @@ def _resized(pinhole: Array, size: tuple[int, int], new_size: tuple[int, int]) -
 def _middle_rays(target: Camera, pinhole: Array, sizes: Sizes) -> Array:
     """`temporal_filters.middle_rays` of the target, as fx, fy, cx, cy."""
     width, height = sizes.cells
-    return _resized(pinhole, target.size, sizes.cells) - [0, 0, 0.5 * width / target.width, 0.5 * height / target.height]
+    return _resized(pinhole, target.size, sizes.cells) - [
+        0,
+        0,
+        0.5 * width / target.width,
+        0.5 * height / target.height,
+    ]
 
 
 def _rigid(firsts: Sequence[Camera], seconds: Sequence[Camera]) -> Array:
     """`rigid_between` of many pairs, (N, 4, 4)."""
-    first, second = (np.stack([camera.world_to_camera for camera in cameras]) for cameras in (firsts, seconds))
+    first, second = (
+        np.stack([camera.world_to_camera for camera in cameras]) for cameras in (firsts, seconds)
+    )
     transforms = np.tile(np.eye(4), (len(first), 1, 1))
     transforms[:, :3, :3] = product(second[:, :3, :3], first[:, :3, :3].transpose(0, 2, 1))
-    transforms[:, :3, 3] = second[:, :3, 3] - product(transforms[:, :3, :3], first[:, :3, 3:])[..., 0]
+    transforms[:, :3, 3] = (
+        second[:, :3, 3] - product(transforms[:, :3, :3], first[:, :3, 3:])[..., 0]
+    )
     return transforms
 
 
 def pixel_maps(rigid: Array, first: Array, second: Array | None) -> NDArray[np.float32]:
-    """Matrices and offsets, (N, 12), that take (depth u, depth v, depth) of one camera to another, see `kernels/camera.hpp`.
+    """Matrices and offsets, (N, 12), that take (depth u, depth v, depth) of one camera to another,
+    see `kernels/camera.hpp`.
 
     Args:
         rigid: from the first camera's frame to the second's, (N, 4, 4).
@@ -236,7 +303,10 @@ def pixel_maps(rigid: Array, first: Array, second: Array | None) -> NDArray[np.f
     turned = rigid[:, :3].copy()  # (N, 3, 4)
     if second is not None:
         fx, fy, cx, cy = np.broadcast_to(second, (len(rigid), 4)).T[..., None]
-        turned[:, 0], turned[:, 1] = fx * turned[:, 0] + cx * turned[:, 2], fy * turned[:, 1] + cy * turned[:, 2]
+        turned[:, 0], turned[:, 1] = (
+            fx * turned[:, 0] + cx * turned[:, 2],
+            fy * turned[:, 1] + cy * turned[:, 2],
+        )
     fx, fy, cx, cy = np.broadcast_to(first, (len(rigid), 4)).T[..., None]
     last = turned[:, :, 2] - turned[:, :, 0] * cx / fx - turned[:, :, 1] * cy / fy
     matrix = np.stack([turned[:, :, 0] / fx, turned[:, :, 1] / fy, last], axis=2)
@@ -244,10 +314,15 @@ def pixel_maps(rigid: Array, first: Array, second: Array | None) -> NDArray[np.f
 
 
 def _projectors(back: Array, pinholes: Array, target: Camera, near: float, scale: float) -> Array:
-    """Parameters by which the sources' Gaussians become ellipses in the target image, (K, 22); see `kernels/splat.hpp`."""
+    """Parameters by which the sources' Gaussians become ellipses in the target image, (K, 22).
+
+    See `kernels/splat.hpp`.
+    """
     fx, fy, cx, cy = _pinhole(target)
     slopes = 1.3 * target.width / (2.0 * fx), 1.3 * target.height / (2.0 * fy)
-    common = np.array([fx, fy, cx - 0.5, cy - 0.5, *slopes, near, target.width - 1, target.height - 1])
+    common = np.array(
+        [fx, fy, cx - 0.5, cy - 0.5, *slopes, near, target.width - 1, target.height - 1]
+    )
     sigmas = scale / (0.5 * (pinholes[:, 0] + pinholes[:, 1]))
     scales = np.concatenate([sigmas[:, None], np.tile(common, (len(back), 1))], axis=1)
     return np.concatenate([pixel_maps(back, pinholes, None), scales], axis=1)

@@ -1,7 +1,9 @@
-"""Finish and cross-check of found depth, a kernel for each thought; `device_maps` of the package is the same in torch.
+"""Finish and cross-check of found depth, a kernel for each thought.
 
-Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel are decided by the smallest depth, whose bits
-sort as the numbers do: whichever comes first, the outcome is the same.
+`device_maps` of the package is the same in torch.
+
+Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel are decided by the
+smallest depth, whose bits sort as the numbers do: whichever comes first, the outcome is the same.
 """
 
 import torch
@@ -11,12 +13,22 @@ from torch import Tensor
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch, on_current_stream
 from ggvs_eval.contrib.warp.registration import is_inside
 from ggvs_eval.pipelines.offline.depth import consistency
-from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    FILLED_CONFIDENCE,
+    FLYING,
+    SMOOTH,
+    SMOOTH_RADIUS_PX,
+    DepthOptions,
+)
 
 wp.set_module_options({**MODULE_OPTIONS, "fuse_fp": True})
 
-FEWEST_NEAR = wp.constant(4)  # of the nine pixels around one, itself included, that make it no flying one
-_LEAST_SLOPE, _UNCHECKED = wp.constant(wp.float32(consistency.LEAST_SLOPE)), wp.constant(wp.float32(consistency.UNCHECKED))
+# of the nine pixels around one, itself included, that make it no flying one
+FEWEST_NEAR = wp.constant(4)
+_LEAST_SLOPE, _UNCHECKED = (
+    wp.constant(wp.float32(consistency.LEAST_SLOPE)),
+    wp.constant(wp.float32(consistency.UNCHECKED)),
+)
 _NOWHERE = wp.constant(0x7F800000)  # bits of infinity
 NOWHERE = 0x7F800000
 
@@ -46,7 +58,9 @@ def mirrored(at: wp.int32, size: wp.int32) -> wp.int32:
 
 
 @wp.kernel
-def smooth(depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, out: wp.array3d[wp.float32]):
+def smooth(
+    depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, out: wp.array3d[wp.float32]
+):
     """See `fusion.smooth_surfaces`."""
     k, y, x = wp.tid()
     value = wp.float32(0.0)
@@ -59,9 +73,14 @@ def smooth(depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, o
             for column in range(-radius, radius + 1):
                 square = row * row + column * column
                 if square <= radius * radius:
-                    neighbour = depth[k, mirrored(y + row, depth.shape[1]), mirrored(x + column, depth.shape[2])]
+                    neighbour = depth[
+                        k, mirrored(y + row, depth.shape[1]), mirrored(x + column, depth.shape[2])
+                    ]
                     off = wp.log(wp.max(neighbour, 1e-6)) - centre
-                    weight = wp.exp(-0.5 * off * off / (share * share) - wp.float32(square) / (2.0 * reach * reach))
+                    weight = wp.exp(
+                        -0.5 * off * off / (share * share)
+                        - wp.float32(square) / (2.0 * reach * reach)
+                    )
                     total += weight * off
                     weights += weight
         value = wp.exp(centre + total / weights)
@@ -70,7 +89,10 @@ def smooth(depth: wp.array3d[wp.float32], share: wp.float32, radius: wp.int32, o
 
 @wp.kernel
 def fill_rows(depth: wp.array3d[wp.float32], out: wp.array3d[wp.float32]):
-    """The larger of the nearest known depths to the left and to the right of what is unknown; 0 on empty rows."""
+    """The larger of the nearest known depths to the left and to the right of what is unknown.
+
+    0 on empty rows.
+    """
     k, y, x = wp.tid()
     value = depth[k, y, x]
     if not (value > 0.0):
@@ -78,7 +100,9 @@ def fill_rows(depth: wp.array3d[wp.float32], out: wp.array3d[wp.float32]):
         while left > 0 and not (depth[k, y, wp.max(left, 0)] > 0.0):
             left -= 1
         right = x + 1
-        while right < depth.shape[2] - 1 and not (depth[k, y, wp.min(right, depth.shape[2] - 1)] > 0.0):
+        while right < depth.shape[2] - 1 and not (
+            depth[k, y, wp.min(right, depth.shape[2] - 1)] > 0.0
+        ):
             right += 1
         value = wp.max(depth[k, y, wp.max(left, 0)], depth[k, y, wp.min(right, depth.shape[2] - 1)])
     out[k, y, x] = wp.max(value, 0.0)
@@ -131,7 +155,9 @@ class Limits:
 
 @wp.func
 def look_up(depth: wp.array2d[wp.float32], at: wp.vec3f, share: wp.float32) -> wp.float32:
-    """Return the depth of a map between its pixels, or of that which is nearest in depth where two surfaces meet."""
+    """Return the depth of a map between its pixels, or of that which is nearest in depth where two
+    surfaces meet.
+    """
     height = depth.shape[0]
     width = depth.shape[1]
     x = wp.clamp(at[0] - 0.5, 0.0, wp.float32(width - 1))
@@ -176,7 +202,10 @@ def evaluate(
     depth: wp.float32,
     confidence: wp.float32,
 ) -> Verdict:
-    """Ask all other maps about a point of a pixel; nothing is supported or contradicted where its depth is unknown."""
+    """Ask all other maps about a point of a pixel.
+
+    Nothing is supported or contradicted where its depth is unknown.
+    """
     views = maps.shape[0]
     height = maps.shape[1]
     width = maps.shape[2]
@@ -195,7 +224,9 @@ def evaluate(
                 back = moved(between[partner, k], at[0], at[1], map_depth)
                 gap = wp.abs(map_depth - at[2])
                 apart = (back[0] - u) * (back[0] - u) + (back[1] - v) * (back[1] - v)
-                near = apart <= limits.error_px * limits.error_px or gap <= limits.wide_share * at[2]
+                near = (
+                    apart <= limits.error_px * limits.error_px or gap <= limits.wide_share * at[2]
+                )
                 if near and gap <= limits.error_share * at[2]:
                     m = between[k, partner]
                     slope = m[6] * u + m[7] * v + m[8]
@@ -203,7 +234,11 @@ def evaluate(
                     trust = trusts[partner, wp.int32(at[1]), wp.int32(at[0])]
                     verdict.support += 1.0
                     total += trust
-                    if slope > _LEAST_SLOPE and wp.abs(step) <= limits.error_share * depth and depth + step > 0.0:
+                    if (
+                        slope > _LEAST_SLOPE
+                        and wp.abs(step) <= limits.error_share * depth
+                        and depth + step > 0.0
+                    ):
                         mass += trust
                         weighted += trust * (depth + step)
                 elif map_depth > at[2]:
@@ -220,7 +255,10 @@ def evaluate(
 
 @wp.kernel
 def leave_doubtful(
-    depth: wp.array3d[wp.float32], confidence: wp.array3d[wp.float32], least: wp.float32, out: wp.array3d[wp.float32]
+    depth: wp.array3d[wp.float32],
+    confidence: wp.array3d[wp.float32],
+    least: wp.float32,
+    out: wp.array3d[wp.float32],
 ):
     """Depth of enough confidence."""
     k, y, x = wp.tid()
@@ -248,8 +286,13 @@ def check(
 
 
 @wp.kernel
-def project(maps: wp.array3d[wp.float32], between: wp.array3d[wp.float32], layers: wp.array4d[wp.int32]):
-    """Bits of the others' depth in a camera's pixels, the nearest where points meet; layer n is of the map n + 1 later."""
+def project(
+    maps: wp.array3d[wp.float32], between: wp.array3d[wp.float32], layers: wp.array4d[wp.int32]
+):
+    """Bits of the others' depth in a camera's pixels, the nearest where points meet.
+
+    Layer n is of the map n + 1 later.
+    """
     n, k, y, x = wp.tid()
     partner = (k + n + 1) % maps.shape[0]
     depth = maps[partner, y, x]
@@ -269,27 +312,39 @@ def fill_from_others(
     depth: wp.array3d[wp.float32],
     sure: wp.array3d[wp.float32],
 ):
-    """Fill unknown depth by the nearest supported and uncontradicted proposal of the others, in place."""
+    """Fill unknown depth by the nearest supported and uncontradicted proposal of the others, in
+    place.
+    """
     k, y, x = wp.tid()
     if depth[k, y, x] == 0.0:
         nearest = wp.cast(_NOWHERE, wp.float32)
         for n in range(maps.shape[0] - 1):
             bits = layers[n, k, y, x]
             if bits < _NOWHERE:
-                verdict = evaluate(maps, trusts, between, limits, k, y, x, wp.cast(bits, wp.float32), 0.0)
-                if verdict.support >= fewest and verdict.conflict == 0.0 and verdict.depth < nearest:
+                verdict = evaluate(
+                    maps, trusts, between, limits, k, y, x, wp.cast(bits, wp.float32), 0.0
+                )
+                if (
+                    verdict.support >= fewest
+                    and verdict.conflict == 0.0
+                    and verdict.depth < nearest
+                ):
                     nearest = verdict.depth
                     depth[k, y, x] = nearest
                     sure[k, y, x] = verdict.confidence
 
 
-def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: DepthOptions) -> tuple[Tensor, Tensor]:
-    """Drop flying pixels, smooth surfaces, remove what the other maps contradict, and fill the rest from the background.
+def finish_maps(
+    depth: Tensor, confidence: Tensor, between: Tensor, *, options: DepthOptions
+) -> tuple[Tensor, Tensor]:
+    """Drop flying pixels, smooth surfaces, remove what the other maps contradict, and fill the rest
+    from the background.
 
     Args:
         depth: as found, (K, H, W).
         confidence: of that, (K, H, W).
-        between: from the pixels of each camera to those of each, (K, K, 12), see `projections_between`.
+        between: from the pixels of each camera to those of each, (K, K, 12), see
+            `projections_between`.
 
     Returns:
         Depth and confidence, (K, H, W).
@@ -320,11 +375,34 @@ def _checked(depth: Tensor, confidence: Tensor, between: Tensor) -> tuple[Tensor
     limits.error_share = consistency.ERROR_SHARE
     maps, out, sure = (torch.empty_like(depth) for _ in range(3))
     launch(leave_doubtful, depth.shape, depth, confidence, consistency.LEAST_CONFIDENCE, maps)
-    launch(check, depth.shape, maps, confidence, between, limits, float(consistency.MIN_SUPPORT), out, sure)
+    launch(
+        check,
+        depth.shape,
+        maps,
+        confidence,
+        between,
+        limits,
+        float(consistency.MIN_SUPPORT),
+        out,
+        sure,
+    )
     if consistency.FILL_SUPPORT > 0:
         partners = len(depth) - 1
-        layers = torch.full((partners, *depth.shape), NOWHERE, dtype=torch.int32, device=depth.device)
+        layers = torch.full(
+            (partners, *depth.shape), NOWHERE, dtype=torch.int32, device=depth.device
+        )
         launch(project, layers.shape, maps, between, layers)
         fewest = float(min(consistency.FILL_SUPPORT, partners))
-        launch(fill_from_others, depth.shape, maps, confidence, between, layers, limits, fewest, out, sure)
+        launch(
+            fill_from_others,
+            depth.shape,
+            maps,
+            confidence,
+            between,
+            layers,
+            limits,
+            fewest,
+            out,
+            sure,
+        )
     return out, sure

@@ -1,4 +1,6 @@
-"""Gains and lens fall-off of the sources, as `ExposureCompensation`: medians by bisection of a float's bits, a block each."""
+"""Gains and lens fall-off of the sources, as `ExposureCompensation`: medians by bisection of a
+float's bits, a block each.
+"""
 
 from dataclasses import dataclass
 
@@ -16,10 +18,16 @@ wp.set_module_options(MODULE_OPTIONS)
 
 BLOCK = 512
 _REDUCTION = wp.constant(compensation.REDUCTION)
-_DARK, _BRIGHT = wp.constant(wp.float32(compensation.DARK)), wp.constant(wp.float32(compensation.BRIGHT))
+_DARK, _BRIGHT = (
+    wp.constant(wp.float32(compensation.DARK)),
+    wp.constant(wp.float32(compensation.BRIGHT)),
+)
 _FEWEST = wp.constant(wp.float64(compensation.FEWEST))
 _LIKE = wp.constant(wp.float32(compensation.LIKE))
-_ODD, _COMMON = wp.constant(wp.float64(compensation.ODD)), wp.constant(wp.float64(compensation.COMMON))
+_ODD, _COMMON = (
+    wp.constant(wp.float64(compensation.ODD)),
+    wp.constant(wp.float64(compensation.COMMON)),
+)
 _LIMIT = wp.constant(wp.float64(compensation.LARGEST_LOG_GAIN))
 _PRIOR = wp.constant(wp.float64(compensation.PRIOR))
 _ROUNDS = wp.constant(exposure_compensation.FALL_OFF_ROUNDS)
@@ -34,7 +42,8 @@ class ExposureState:
 
     Attributes:
         lens: instants that the slope of the fall-off is the mean of, and the slope, (2,), float64.
-        ratios: of pairs of cameras, how often their ratio was measured, its mean logarithm, and its weight, (R, 5), float64.
+        ratios: of pairs of cameras, how often their ratio was measured, its mean logarithm, and its
+            weight, (R, 5), float64.
     """
 
     lens: Tensor
@@ -48,7 +57,8 @@ class Exposure:
     Attributes:
         gains: of each source and channel, (K, 3).
         factors: brightness of the sources and the target by row and column, (K + 1, 2, n).
-        odd: 1 of a source whose colours are like no other's, black for an instant, though others agree, (K,), int32.
+        odd: 1 of a source whose colours are like no other's, black for an instant, though others
+            agree, (K,), int32.
     """
 
     gains: Tensor
@@ -63,7 +73,9 @@ def is_linear(c: wp.vec3f) -> wp.bool:
 
 
 @wp.kernel
-def reduce_images(images: wp.array4d[wp.uint8], sizes: wp.array2d[wp.int32], out: wp.array4d[wp.float32]):
+def reduce_images(
+    images: wp.array4d[wp.uint8], sizes: wp.array2d[wp.int32], out: wp.array4d[wp.float32]
+):
     """Means of whole blocks, rounded."""
     k, y, x = wp.tid()
     if y >= wp.max(sizes[k, 1] // _REDUCTION, 1) or x >= wp.max(sizes[k, 0] // _REDUCTION, 1):
@@ -100,7 +112,8 @@ def look_up(
 ):
     """Of a lattice point of one view, its log ratio to another view and the span.
 
-    Flags: 0 no point, 1 unseen there, 2 counts, 3 out of the other's linear range, 4 so, but hardly another colour.
+    Flags: 0 no point, 1 unseen there, 2 counts, 3 out of the other's linear range, 4 so, but hardly
+    another colour.
     """
     q, n = wp.tid()
     pair = q // 2
@@ -156,14 +169,18 @@ def look_up(
     colour_there = upper + fy * (lower - upper)
     if not is_linear(colour_there):
         off = wp.vec3f(
-            wp.abs(colour[0] - colour_there[0]), wp.abs(colour[1] - colour_there[1]), wp.abs(colour[2] - colour_there[2])
+            wp.abs(colour[0] - colour_there[0]),
+            wp.abs(colour[1] - colour_there[1]),
+            wp.abs(colour[2] - colour_there[2]),
         )
         flags[pair, place] = wp.where(wp.max(wp.max(off[0], off[1]), off[2]) <= _DARK, 4, 3)
         return
     flags[pair, place] = 2
     sign = 1.0 - 2.0 * wp.float32(q % 2)
     for c in range(3):
-        looks[pair, c, place] = sign * (wp.log(wp.max(colour[c], 1.0)) - wp.log(wp.max(colour_there[c], 1.0)))
+        looks[pair, c, place] = sign * (
+            wp.log(wp.max(colour[c], 1.0)) - wp.log(wp.max(colour_there[c], 1.0))
+        )
     looks[pair, 3, place] = sign * ((x * x + y * y) / (z * z) - (tx * tx + ty * ty) / (tz * tz))
 
 
@@ -185,7 +202,9 @@ def value_of(key: wp.uint32) -> wp.float32:
 
 
 @wp.func
-def combined(looks: wp.array3d[wp.float32], pair: wp.int32, channel: wp.int32, slope: wp.float32, n: wp.int32) -> wp.float32:
+def combined(
+    looks: wp.array3d[wp.float32], pair: wp.int32, channel: wp.int32, slope: wp.float32, n: wp.int32
+) -> wp.float32:
     """Input of a median: a channel less the fall-off, or for channel 3 the mean of all."""
     if channel == 3:
         return (looks[pair, 0, n] + looks[pair, 1, n] + looks[pair, 2, n]) / 3.0
@@ -208,13 +227,16 @@ def block_median(
     count: wp.int32,
     lane: wp.int32,
 ) -> wp.float64:
-    """Mean of the two middle values of what counts, by all threads of a block together, two bits a round; 0 of none."""
+    """Mean of the two middle values of what counts, by all threads of a block together, two bits a
+    round; 0 of none.
+    """
     low = wp.uint32(0)
     high = wp.uint32(0)
     low_rank = wp.max(count - 1, 0) // 2
     high_rank = count // 2
     shift = wp.uint32(32)
-    while shift > wp.uint32(0):  # a loop that is not unrolled, or registers would not do for a block
+    # a loop that is not unrolled, or registers would not do for a block
+    while shift > wp.uint32(0):
         shift -= wp.uint32(2)
         low_below = wp.int64(0)
         high_below = wp.int64(0)
@@ -246,7 +268,9 @@ def block_median(
 
 @wp.func
 def weight_in_round(r: wp.int32, residual: wp.float64):
-    """A look's weight in a round of robust least squares: all alike first, then Huber's up to four times the noise."""
+    """A look's weight in a round of robust least squares: all alike first, then Huber's up to four
+    times the noise.
+    """
     weight = wp.float64(1.0)
     if r > 0:
         size = wp.abs(residual)
@@ -258,9 +282,14 @@ def weight_in_round(r: wp.int32, residual: wp.float64):
 
 @wp.kernel
 def pair_slopes(
-    looks: wp.array3d[wp.float32], flags: wp.array2d[wp.int32], lens: wp.array[wp.float64], out: wp.array2d[wp.float64]
+    looks: wp.array3d[wp.float32],
+    flags: wp.array2d[wp.int32],
+    lens: wp.array[wp.float64],
+    out: wp.array2d[wp.float64],
 ):
-    """Of each pair: slope and evidence by robust least squares, how many looks count, how many points there are; a block each."""
+    """Of each pair: slope and evidence by robust least squares, how many looks count, how many
+    points there are; a block each.
+    """
     pair, lane = wp.tid()
     counting = wp.int32(0)
     usable = wp.int32(0)
@@ -327,7 +356,10 @@ def common_slope(
     before: wp.array[wp.float64],
     after: wp.array[wp.float64],
 ):
-    """The fall-off that the pairs share, and its running mean; state is (how many instants, slope)."""
+    """The fall-off that the pairs share, and its running mean.
+
+    State is (how many instants, slope).
+    """
     wp.tid()
     total = wp.float64(0.0)
     squares = wp.float64(0.0)
@@ -366,7 +398,9 @@ def ratio_medians(
     slope: wp.array[wp.float64],
     out: wp.array2d[wp.float64],
 ):
-    """Median log ratio of each pair and channel, less the fall-off and, from the fourth on, as it is; a block each."""
+    """Median log ratio of each pair and channel, less the fall-off and, from the fourth on, as it
+    is; a block each.
+    """
     pair, n, lane = wp.tid()
     fall_off = wp.where(n < 3, wp.float32(slope[1]), 0.0)
     median = block_median(looks, flags, pair, n % 3, fall_off, wp.int32(pairs[pair, 2]), lane)
@@ -376,9 +410,15 @@ def ratio_medians(
 
 @wp.kernel
 def compare_colours(
-    looks: wp.array3d[wp.float32], flags: wp.array2d[wp.int32], medians: wp.array2d[wp.float64], out: wp.array[wp.float64]
+    looks: wp.array3d[wp.float32],
+    flags: wp.array2d[wp.int32],
+    medians: wp.array2d[wp.float64],
+    out: wp.array[wp.float64],
 ):
-    """Share of the looks of each pair whose colours are alike, -1 if it shares too little; a block each."""
+    """Share of the looks of each pair whose colours are alike, -1 if it shares too little.
+
+    A block each.
+    """
     pair, lane = wp.tid()
     n_seen = wp.int32(0)
     alike = wp.int32(0)
@@ -405,9 +445,15 @@ def compare_colours(
 
 @wp.kernel
 def carry_ratios(
-    before: wp.array2d[wp.float64], flags: wp.array[wp.int32], lens: wp.array[wp.float64], after: wp.array2d[wp.float64]
+    before: wp.array2d[wp.float64],
+    flags: wp.array[wp.int32],
+    lens: wp.array[wp.float64],
+    after: wp.array2d[wp.float64],
 ):
-    """Memory of all pairs, those that are no sources now too, whose weight fades; nothing after a gap."""
+    """Memory of all pairs, those that are no sources now too, whose weight fades.
+
+    Nothing after a gap.
+    """
     p, i = wp.tid()
     value = wp.float64(0.0)
     if flags[GAINS] != 0 and p < before.shape[0]:
@@ -433,7 +479,9 @@ def gains_of(
     gains: wp.array2d[wp.float32],
     odd: wp.array[wp.int32],
 ):
-    """Mean ratios of the pairs of now, gains by least squares over them (Cholesky), and sources like no other; one thread."""
+    """Mean ratios of the pairs of now, gains by least squares over them (Cholesky), and sources
+    like no other; one thread.
+    """
     wp.tid()
     views = gains.shape[0]
     for i in range(views):
@@ -509,7 +557,10 @@ def brightness(
     slope: wp.array[wp.float64],
     out: wp.array3d[wp.float32],
 ):
-    """Brightness by row and by column; the sources' fall-off is taken away, and the target's, the last, put on again."""
+    """Brightness by row and by column.
+
+    The sources' fall-off is taken away, and the target's, the last, put on again.
+    """
     k, axis, n = wp.tid()
     at = (wp.float64(n) + wp.float64(0.5) - pinholes[k, 3 - axis]) / pinholes[k, 1 - axis]
     exponent = -slope[1] * (at * at)
@@ -524,9 +575,14 @@ def brightness(
 
 @wp.kernel
 def shade_views(
-    images: wp.array4d[wp.uint8], gains: wp.array2d[wp.float32], factors: wp.array3d[wp.float32], out: wp.array4d[wp.uint8]
+    images: wp.array4d[wp.uint8],
+    gains: wp.array2d[wp.float32],
+    factors: wp.array3d[wp.float32],
+    out: wp.array4d[wp.uint8],
 ):
-    """Images times their gains and the factors of row and column, rounded and limited, see `kernels/shade.cpp`."""
+    """Images times their gains and the factors of row and column, rounded and limited, see
+    `kernels/shade.cpp`.
+    """
     k, y, x = wp.tid()
     for c in range(3):
         level = wp.float32(images[k, y, x, c]) * (factors[k, 1, x] * gains[k, c] * factors[k, 0, y])
@@ -534,7 +590,9 @@ def shade_views(
 
 
 @wp.kernel
-def keep_depths(depths: wp.array3d[wp.float32], odd: wp.array[wp.int32], out: wp.array3d[wp.float32]):
+def keep_depths(
+    depths: wp.array3d[wp.float32], odd: wp.array[wp.int32], out: wp.array3d[wp.float32]
+):
     """Depths of the sources that are not left out, 0 of the others."""
     k, y, x = wp.tid()
     value = depths[k, y, x]
@@ -544,7 +602,9 @@ def keep_depths(depths: wp.array3d[wp.float32], odd: wp.array[wp.int32], out: wp
 
 
 @wp.kernel
-def darken(picture: wp.array3d[wp.float32], factors: wp.array3d[wp.float32], out: wp.array3d[wp.float32]):
+def darken(
+    picture: wp.array3d[wp.float32], factors: wp.array3d[wp.float32], out: wp.array3d[wp.float32]
+):
     """A picture (3, H, W) as the target's lens shows it."""
     y, x = wp.tid()
     k = factors.shape[0] - 1
@@ -553,7 +613,12 @@ def darken(picture: wp.array3d[wp.float32], factors: wp.array3d[wp.float32], out
 
 
 def estimate_exposure(
-    images: Tensor, depths: Tensor, before: ExposureState, c: StepConstants, t: Tables, out: ExposureState
+    images: Tensor,
+    depths: Tensor,
+    before: ExposureState,
+    c: StepConstants,
+    t: Tables,
+    out: ExposureState,
 ) -> Exposure:
     """Return the gains and fall-off that make the sources agree, as `ExposureCompensation.gains`.
 
@@ -566,24 +631,44 @@ def estimate_exposure(
     device, views, pairs = depths.device, len(images), t.sizes.pairs
     members, directed = t.pairs()
     lattices = t.lattices(compensation.REDUCTION, compensation.LATTICE_ROWS)
-    points = max(across * down for _, across, down in t.sizes.lattice(compensation.REDUCTION, compensation.LATTICE_ROWS))
+    points = max(
+        across * down
+        for _, across, down in t.sizes.lattice(compensation.REDUCTION, compensation.LATTICE_ROWS)
+    )
     width, height = (side // compensation.REDUCTION + 1 for side in t.sizes.largest)
     pictures = torch.empty((views, height, width, 3), device=device)
     launch(reduce_images, (views, height, width), images, t.view_sizes, pictures)
     looks = torch.empty((pairs, 4, 2 * points), device=device)
     flags = torch.zeros((pairs, 2 * points), dtype=torch.int32, device=device)
     if views > 1:
-        look_arguments = (pictures, depths, c.pinholes, t.view_sizes, lattices, directed, c.transforms, c.numbers, points)
+        look_arguments = (
+            pictures,
+            depths,
+            c.pinholes,
+            t.view_sizes,
+            lattices,
+            directed,
+            c.transforms,
+            c.numbers,
+            points,
+        )
         launch(look_up, (2 * pairs, points), *look_arguments, looks, flags)
     of_pairs = torch.empty((pairs, 4), dtype=torch.float64, device=device)
     launch(pair_slopes, [pairs], looks, flags, c.lens, of_pairs, block=BLOCK)
     launch(common_slope, 1, of_pairs, c.lens, c.flags, before.lens, out.lens)
-    ratios, likeness = (torch.empty(size, dtype=torch.float64, device=device) for size in ((pairs, 6), (pairs,)))
+    ratios, likeness = (
+        torch.empty(size, dtype=torch.float64, device=device) for size in ((pairs, 6), (pairs,))
+    )
     launch(ratio_medians, [pairs, 6], looks, flags, of_pairs, out.lens, ratios, block=BLOCK)
     launch(compare_colours, [pairs], looks, flags, ratios, likeness, block=BLOCK)
     launch(carry_ratios, out.ratios.shape, before.ratios, c.flags, c.lens, out.ratios)
-    gains, odd = torch.empty((views, 3), device=device), torch.empty(views, dtype=torch.int32, device=device)
-    system, right = (torch.empty((views, n), dtype=torch.float64, device=device) for n in (views, 3))
+    gains, odd = (
+        torch.empty((views, 3), device=device),
+        torch.empty(views, dtype=torch.int32, device=device),
+    )
+    system, right = (
+        torch.empty((views, n), dtype=torch.float64, device=device) for n in (views, 3)
+    )
     gain_arguments = (ratios, of_pairs, likeness, members, c.signs, c.gauge, c.lens, c.rows)
     launch(gains_of, 1, *gain_arguments, out.ratios, system, right, gains, odd)
     factors = torch.empty((views + 1, 2, max(*t.sizes.largest, *t.sizes.target)), device=device)
@@ -592,21 +677,27 @@ def estimate_exposure(
 
 
 def compensate(images: Tensor, exposure: Exposure) -> Tensor:
-    """Return the images times their gains and without fall-off, (K, H, W, 3), uint8, as `flattened`."""
+    """Return the images times their gains and without fall-off, (K, H, W, 3), uint8, as
+    `flattened`.
+    """
     out = torch.empty_like(images)
     launch(shade_views, images.shape[:3], images, exposure.gains, exposure.factors, out)
     return out
 
 
 def leave_out(depths: Tensor, exposure: Exposure) -> Tensor:
-    """Depths of the sources, (K, H, W), 0 of those whose colours are like no other's: what has no depth shows nothing."""
+    """Depths of the sources, (K, H, W), 0 of those whose colours are like no other's: what has no
+    depth shows nothing.
+    """
     out = torch.empty_like(depths)
     launch(keep_depths, depths.shape, depths, exposure.odd, out)
     return out
 
 
 def show_fall_off(picture: Tensor, exposure: Exposure) -> Tensor:
-    """Return a picture (3, H, W) of compensated sources as the target's lens would show it, as `fallen_off`."""
+    """Return a picture (3, H, W) of compensated sources as the target's lens would show it, as
+    `fallen_off`.
+    """
     out = torch.empty_like(picture)
     launch(darken, picture.shape[1:], picture, exposure.factors, out)
     return out

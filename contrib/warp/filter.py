@@ -1,4 +1,6 @@
-"""Difference masks (Eq. 1), the temporal depth filter (Eq. 2), fusion weights (Eqs. 11-12) and trust in the past (Eqs. 13-14)."""
+"""Difference masks (Eq. 1), the temporal depth filter (Eq. 2), fusion weights (Eqs. 11-12) and
+trust in the past (Eqs. 13-14).
+"""
 
 import torch
 import warp as wp
@@ -14,7 +16,8 @@ from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 wp.set_module_options(MODULE_OPTIONS)
 
 REACH = wp.constant(3)  # of the 7 x 7 window of Eq. 12
-FAR_AWAY = wp.constant(wp.float32(1e18))  # represents an invalid depth: any difference to it exceeds tau
+# represents an invalid depth: any difference to it exceeds tau
+FAR_AWAY = wp.constant(wp.float32(1e18))
 _COVERED = wp.constant(wp.float32(COVERED_ALPHA))
 
 
@@ -34,7 +37,9 @@ def change_of_views(
     colours: wp.array4d[wp.float32],
     mask: wp.array3d[wp.float32],
 ):
-    """By how much each cell's mean colour has changed, see `kernels/filter.hpp`, and the weight of new depth there."""
+    """By how much each cell's mean colour has changed, see `kernels/filter.hpp`, and the weight of
+    new depth there.
+    """
     k, y, x = wp.tid()
     p = previous[k]
     inside = x < cells[k, 0] and y < cells[k, 1]
@@ -53,7 +58,9 @@ def change_of_views(
         for column in range(columns[k, x, 0], columns[k, x, 1]):
             line = wp.float32(0.0)
             for row in range(rows[k, y, 0], rows[k, y, 1]):
-                difference = wp.float32(after[k, row, column, c]) - wp.float32(before[p, row, column, c])
+                difference = wp.float32(after[k, row, column, c]) - wp.float32(
+                    before[p, row, column, c]
+                )
                 line += row_shares[k, y, row - rows[k, y, 0]] * difference
             value += column_shares[k, x, column - columns[k, x, 0]] * line
         value = value / 255.0
@@ -77,7 +84,10 @@ def mix_views(
     masks: wp.array3d[wp.float32],
     out: wp.array3d[wp.float32],
 ):
-    """The masks at full size; depth and history mixed where they are one surface, else the one that is known."""
+    """The masks at full size.
+
+    Depth and history mixed where they are one surface, else the one that is known.
+    """
     k, y, x = wp.tid()
     masks[k, y, x] = 1.0
     out[k, y, x] = 0.0
@@ -102,7 +112,9 @@ def mix_views(
 
 @wp.func
 def unlike(centre: wp.float32, value: wp.float32, most: wp.float32) -> wp.float32:
-    """Return the squared difference of two depths, at most `most`, which it is where the second is unknown."""
+    """Return the squared difference of two depths, at most `most`, which it is where the second is
+    unknown.
+    """
     difference = centre - value
     square = wp.min(difference * difference, most)
     if not (value > 0.0):
@@ -112,7 +124,10 @@ def unlike(centre: wp.float32, value: wp.float32, most: wp.float32) -> wp.float3
 
 @wp.kernel
 def fusion_weights(
-    depths: wp.array3d[wp.float32], sizes: wp.array2d[wp.int32], numbers: wp.array[wp.float32], out: wp.array3d[wp.float32]
+    depths: wp.array3d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    numbers: wp.array[wp.float32],
+    out: wp.array3d[wp.float32],
 ):
     """Eqs. 11-12 of every view."""
     k, y, x = wp.tid()
@@ -158,7 +173,9 @@ def gain_of_past(
     beta: wp.float32,
     gain: wp.array2d[wp.float32],
 ):
-    """Trust in the fused depth of the instant before, none if a view that covers a pixel has changed; -1 without a past."""
+    """Trust in the fused depth of the instant before, none if a view that covers a pixel has
+    changed; -1 without a past.
+    """
     y, x = wp.tid()
     largest = wp.float32(-1.0)
     for k in range(alphas.shape[0]):
@@ -190,15 +207,31 @@ def filter_views(
         out: filtered depths, (K, H, W).
 
     Returns:
-        The masks, (K, H, W), and the change of the cells' colours, (K, h, w, 3); of a view that is new 1 and 0.
+        The masks, (K, H, W), and the change of the cells' colours, (K, h, w, 3); of a view that is
+        new 1 and 0.
     """
     cells = t.sizes.mask_cells
     lines = tuple(zip(*t.sizes.views, strict=True)), tuple(zip(*cells, strict=True))
     rows, columns = (t.area_cells(lines[0][axis], lines[1][axis]) for axis in (1, 0))
     size = len(cells), max(lines[1][1]), max(lines[1][0])
-    colours, small = torch.empty((*size, 3), device=depths.device), torch.empty(size, device=depths.device)
+    colours, small = (
+        torch.empty((*size, 3), device=depths.device),
+        torch.empty(size, device=depths.device),
+    )
     limits = options.lambda_t, options.beta_mask, options.mask_channels == "mean"
-    launch(change_of_views, size, images, before[0], c.previous, t.mask_cells, *rows, *columns, *limits, colours, small)
+    launch(
+        change_of_views,
+        size,
+        images,
+        before[0],
+        c.previous,
+        t.mask_cells,
+        *rows,
+        *columns,
+        *limits,
+        colours,
+        small,
+    )
     widest = functional.max_pool2d(small[None], 3, 1, 1)[0]
     masks = torch.empty_like(depths)
     mix_arguments = (depths, before[1], c.previous, t.view_sizes, t.mask_cells, widest)
@@ -213,8 +246,12 @@ def weigh_depths(depths: Tensor, c: StepConstants, t: Tables) -> Tensor:
     return weights
 
 
-def trust_past(features: Tensor, alphas: Tensor, c: StepConstants, options: OnlineOptions) -> Tensor:
+def trust_past(
+    features: Tensor, alphas: Tensor, c: StepConstants, options: OnlineOptions
+) -> Tensor:
     """Return the gain of the past's evidence for each ray, (H, W); -1 if there is no past."""
     gain = torch.empty(alphas.shape[1:], device=alphas.device)
-    launch(gain_of_past, gain.shape, features, alphas, c.previous, c.flags, options.beta_temporal, gain)
+    launch(
+        gain_of_past, gain.shape, features, alphas, c.previous, c.flags, options.beta_temporal, gain
+    )
     return gain

@@ -1,4 +1,6 @@
-"""Launch of this package's kernels on the device and the stream of their tensors, and accesses of 16 bytes within kernels."""
+"""Launch of this package's kernels on the device and the stream of their tensors, and accesses of
+16 bytes within kernels.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,10 +11,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
-wp.config.log_level = wp.LOG_WARNING  # otherwise it lists its devices in the output of every command
+# otherwise it lists its devices in the output of every command
+wp.config.log_level = wp.LOG_WARNING
 wp.init()
 
-# No gradients pass, and products are rounded before they are added, as the compiled kernels do: ties are then decided alike.
+# No gradients pass, and products are rounded before they are added, as the compiled kernels do:
+# ties are then decided alike.
 MODULE_OPTIONS = {"enable_backward": False, "fuse_fp": False}
 
 
@@ -23,24 +27,35 @@ def launch(kernel: Any, size: int | Sequence[int], *arguments: Any, block: int =
         kernel: of Warp.
         size: of the grid of threads; of the grid of blocks where `block` is given.
         arguments: tensors, whose layouts Warp checks, and numbers.
-        block: threads that work on one item together; at most 512, since more have too few registers.
+        block: threads that work on one item together; at most 512, since more have too few
+            registers.
     """
     device = next(argument.device for argument in arguments if isinstance(argument, Tensor))
-    values = [wp.from_torch(argument, return_ctype=True) if isinstance(argument, Tensor) else argument for argument in arguments]
+    values = [
+        wp.from_torch(argument, return_ctype=True) if isinstance(argument, Tensor) else argument
+        for argument in arguments
+    ]
     place = wp.device_from_torch(device)
     if block:
-        wp.launch_tiled(kernel, dim=size, inputs=values, block_dim=block, device=place, record_tape=False)
+        wp.launch_tiled(
+            kernel, dim=size, inputs=values, block_dim=block, device=place, record_tape=False
+        )
     else:
         wp.launch(kernel, dim=size, inputs=values, device=place, record_tape=False)
 
 
 @contextmanager
 def on_current_stream(device: torch.device) -> Iterator[None]:
-    """Within, Warp launches on torch's current stream of a GPU, which may be recorded; nothing on the CPU."""
+    """Within, Warp launches on torch's current stream of a GPU, which may be recorded.
+
+    Nothing on the CPU.
+    """
     if device.type == "cpu":
         yield
         return
-    with wp.ScopedStream(_of_warp(device, torch.cuda.current_stream(device).cuda_stream), sync_enter=False):
+    with wp.ScopedStream(
+        _of_warp(device, torch.cuda.current_stream(device).cuda_stream), sync_enter=False
+    ):
         yield
 
 
@@ -51,7 +66,9 @@ def _of_warp(device: torch.device, handle: int) -> Any:
 
 
 def sort_pairs(keys: Tensor, values: Tensor, count: int, bits: int) -> None:
-    """Sort the first `count` keys by their lowest bits, and the values with them, in place; equal keys keep their order.
+    """Sort the first `count` keys by their lowest bits, and the values with them, in place.
+
+    Equal keys keep their order.
 
     Args:
         keys: (2 count,), int32, not negative; the second half is for the sort's own use.
@@ -84,8 +101,13 @@ class WorkStream:
 
     @contextmanager
     def recording(self, graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
-        """Within, what is launched is recorded and not run; Warp knows it, so that its sorts allocate within the graph."""
-        with torch.cuda.graph(graph, pool=pool, stream=self.stream, capture_error_mode="thread_local"):
+        """Within, what is launched is recorded and not run.
+
+        Warp knows it, so that its sorts allocate within the graph.
+        """
+        with torch.cuda.graph(
+            graph, pool=pool, stream=self.stream, capture_error_mode="thread_local"
+        ):
             wp.capture_begin(stream=self._of_warp, external=True)
             try:
                 yield
@@ -93,7 +115,8 @@ class WorkStream:
                 wp.capture_end(stream=self._of_warp)
 
 
-# Warp's vectors have the alignment of a float, so that a compiler makes four accesses of what can be one.
+# Warp's vectors have the alignment of a float, so that a compiler makes four accesses of what can
+# be one.
 _LOAD4 = """
 #if defined(__CUDA_ARCH__)
     const float4 v = __ldg(reinterpret_cast<const float4*>(values.data) + index);
@@ -105,7 +128,8 @@ _LOAD4 = """
 """
 _STORE4 = """
 #if defined(__CUDA_ARCH__)
-    reinterpret_cast<float4*>(values.data)[index] = make_float4(value[0], value[1], value[2], value[3]);
+    float4* stored = reinterpret_cast<float4*>(values.data);
+    stored[index] = make_float4(value[0], value[1], value[2], value[3]);
 #else
     float* v = values.data + 4 * (size_t)index;
     for (int i = 0; i < 4; ++i) v[i] = value[i];
@@ -132,7 +156,8 @@ _STORE_HALF = """
 #if defined(__CUDA_ARCH__)
     unsigned int w[4];
     for (int i = 0; i < 4; ++i)
-        w[i] = (unsigned int)wp::float_to_half(value[2 * i]).u | ((unsigned int)wp::float_to_half(value[2 * i + 1]).u << 16);
+        w[i] = (unsigned int)wp::float_to_half(value[2 * i]).u
+             | ((unsigned int)wp::float_to_half(value[2 * i + 1]).u << 16);
     reinterpret_cast<uint4*>(values.data)[index] = make_uint4(w[0], w[1], w[2], w[3]);
 #else
     for (int i = 0; i < 8; ++i) values.data[8 * (size_t)index + i] = wp::float_to_half(value[i]);
@@ -159,7 +184,9 @@ def store4(values: wp.array(dtype=wp.float32), index: wp.int32, value: wp.vec4f)
 
 
 def wide_access(kind: Any) -> tuple[Any, Any]:
-    """Functions of kernels that read and write eight activations of type `kind`, float16 or float32, at once."""
+    """Functions of kernels that read and write eight activations of type `kind`, float16 or
+    float32, at once.
+    """
     half = kind is wp.float16
 
     @wp.func_native(_LOAD_HALF if half else _LOAD_SINGLE)

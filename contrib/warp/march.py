@@ -1,4 +1,6 @@
-"""The ray march (paper 3.2): `kernels/occupancy.cpp` and `kernels/tsdf_simd.hpp`, a thread per source block or ray."""
+"""The ray march (paper 3.2): `kernels/occupancy.cpp` and `kernels/tsdf_simd.hpp`, a thread per
+source block or ray.
+"""
 
 import torch
 import warp as wp
@@ -23,7 +25,9 @@ NOWHERE = wp.constant(wp.float32(3e38))
 
 @wp.struct
 class Field:
-    """Constants of the fused field: depth range, truncation, the slabs of the occupancy grid, and the target's size."""
+    """Constants of the fused field: depth range, truncation, the slabs of the occupancy grid, and
+    the target's size.
+    """
 
     near: wp.float32
     far: wp.float32
@@ -67,7 +71,10 @@ def mark_frustum(
     high: wp.float32,
     marks: wp.array3d[wp.uint8],
 ):
-    """Mark the columns and slabs that a piece of a source frustum reaches; its corners bound its image and its depth."""
+    """Mark the columns and slabs that a piece of a source frustum reaches.
+
+    Its corners bound its image and its depth.
+    """
     u0 = wp.float32(1e30)
     u1 = wp.float32(-1e30)
     v0 = wp.float32(1e30)
@@ -97,7 +104,14 @@ def mark_frustum(
     z0 *= 1.0 - 1e-5
     z1 *= 1.0 + 1e-5
     rounding = wp.float32(0.01)  # pixels; far above the error of the arithmetic
-    if z1 < field.near or z0 > field.far or u1 < -rounding or v1 < -rounding or u0 > width or v0 > height:
+    if (
+        z1 < field.near
+        or z0 > field.far
+        or u1 < -rounding
+        or v1 < -rounding
+        or u0 > width
+        or v0 > height
+    ):
         return
     x0 = wp.int32(wp.max(u0 - rounding, 0.0)) // _COLUMN
     x1 = wp.int32(wp.min(u1 + rounding, width - 1.0)) // _COLUMN
@@ -124,7 +138,10 @@ def mark_shells(
     target_height: wp.int32,
     marks: wp.array3d[wp.uint8],
 ):
-    """Mark where a sample may be within the truncation of one block's pixels; conservative, so that no result depends on it."""
+    """Mark where a sample may be within the truncation of one block's pixels.
+
+    Conservative, so that no result depends on it.
+    """
     k, block_y, block_x = wp.tid()
     if is_past and flags[PAST] == 0:
         return
@@ -180,14 +197,21 @@ def first_marks(marks: wp.array3d[wp.uint8], firsts: wp.array3d[wp.int32]):
 
 @wp.func
 def begin_of(slab: wp.int32, numbers: wp.array[wp.float32]) -> wp.float32:
-    """Depth where a slab begins, rounded towards the camera: to stop early costs a sample, to stop late would lose one."""
-    bits = wp.cast(numbers[NEAR], wp.int32) + wp.int32(wp.float32(slab) / numbers[PER_BIT] * 0.99999)
+    """Depth where a slab begins, rounded towards the camera: to stop early costs a sample, to stop
+    late would lose one.
+    """
+    bits = wp.cast(numbers[NEAR], wp.int32) + wp.int32(
+        wp.float32(slab) / numbers[PER_BIT] * 0.99999
+    )
     return wp.cast(bits, wp.float32)
 
 
 @wp.kernel
 def find_next(
-    marks: wp.array3d[wp.uint8], firsts: wp.array3d[wp.int32], numbers: wp.array[wp.float32], nexts: wp.array3d[wp.float32]
+    marks: wp.array3d[wp.uint8],
+    firsts: wp.array3d[wp.int32],
+    numbers: wp.array[wp.float32],
+    nexts: wp.array3d[wp.float32],
 ):
     """Beginning of the first marked slab at or behind each slab of a segment."""
     s, y, x = wp.tid()
@@ -271,15 +295,31 @@ def sample(
     pixel: wp.vec2f,
     z: wp.float32,
 ) -> wp.vec2f:
-    """Eq. 10, normalised: the mean of the views' clamped distances, and the sum of the weights; the previous depth comes last."""
+    """Eq. 10, normalised: the mean of the views' clamped distances, and the sum of the weights.
+
+    The previous depth comes last.
+    """
     sums = wp.vec2f(0.0, 0.0)
     views = depths.shape[0]
     for k in range(views):
-        sums += add_view(depths[k], weights[k], maps[k], sizes[k, 0], sizes[k, 1], 1.0, NOWHERE, pixel, z, field.tau)
+        sums += add_view(
+            depths[k],
+            weights[k],
+            maps[k],
+            sizes[k, 0],
+            sizes[k, 1],
+            1.0,
+            NOWHERE,
+            pixel,
+            z,
+            field.tau,
+        )
     if gain >= 0.0:
         width = past_depth.shape[1]
         height = past_depth.shape[0]
-        sums += add_view(past_depth, past_weight, maps[views], width, height, gain, limit, pixel, z, field.tau)
+        sums += add_view(
+            past_depth, past_weight, maps[views], width, height, gain, limit, pixel, z, field.tau
+        )
     mean = wp.float32(0.0)
     if sums[1] > 0.0:
         mean = sums[0] / sums[1]
@@ -304,7 +344,9 @@ def march_rays(
     out_depth: wp.array2d[wp.float32],
     out_weight: wp.array2d[wp.float32],
 ):
-    """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py)."""
+    """Sphere tracing with the smallest step (Eq. 3 with the readings of
+    ggvs_eval/geometry/tsdf.py).
+    """
     y, x = wp.tid()
     field = field_of(numbers, out_depth.shape[1], out_depth.shape[0])
     pixel = wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5)
@@ -327,7 +369,9 @@ def march_rays(
         if not (z <= field.far):
             active = False
         else:
-            s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, z)
+            s = sample(
+                field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, z
+            )
             positive = s[1] > 0.0 and s[0] > 0.0
             if s[1] > 0.0 and was_positive and not positive:
                 # The surface is where the straight line through the two distances is zero.
@@ -359,7 +403,8 @@ def march(
     out: tuple[Tensor, Tensor],
     skip_empty: bool = True,
 ) -> None:
-    """Find the first surface of the fused field along each ray, as `ray_march` of the compiled path (Eqs. 3, 9, 10, 13, 14).
+    """Find the first surface of the fused field along each ray, as `ray_march` of the compiled path
+    (Eqs. 3, 9, 10, 13, 14).
 
     Args:
         depths: of the sources, filtered, (K, H, W), world units.
@@ -367,7 +412,8 @@ def march(
         past: depth and weight that the march of the instant before found, of its target's size.
         gain: of the past along each ray, (H, W), see `trust_past`.
         limits: smallest step, in tau, and largest weight of the past.
-        out: depth, (H, W), world units, 0 if there is no surface, and the sum of the weights behind it.
+        out: depth, (H, W), world units, 0 if there is no surface, and the sum of the weights behind
+            it.
     """
     (width, height), device = t.sizes.target, depths.device
     columns = -(-height // COLUMN), -(-width // COLUMN)
@@ -375,13 +421,39 @@ def march(
     if skip_empty:
         marks = torch.zeros((SLABS, *columns), dtype=torch.uint8, device=device)
         past_size = t.past_size(past[0].shape[1], past[0].shape[0])
-        groups = (depths, weights, t.view_sizes, c.from_views[:-1]), (past[0][None], past[1][None], past_size, c.from_views[-1:])
+        groups = (
+            (depths, weights, t.view_sizes, c.from_views[:-1]),
+            (past[0][None], past[1][None], past_size, c.from_views[-1:]),
+        )
         for number, (stack, of_pixels, sizes, to_target) in enumerate(groups):
             blocks = (len(stack), *(-(-size // BLOCK) for size in stack.shape[1:]))
-            arguments = (stack, of_pixels, sizes, to_target, c.flags, number == 1, c.numbers, width, height)
+            arguments = (
+                stack,
+                of_pixels,
+                sizes,
+                to_target,
+                c.flags,
+                number == 1,
+                c.numbers,
+                width,
+                height,
+            )
             launch(mark_shells, blocks, *arguments, marks)
         firsts = torch.empty((SEGMENTS, *columns), dtype=torch.int32, device=device)
         launch(first_marks, firsts.shape, marks, firsts)
         launch(find_next, firsts.shape, marks, firsts, c.numbers, nexts)
     steps = (c.numbers, STEP_FRACTION, limits[0], skip_empty)
-    launch(march_rays, (height, width), *steps, depths, weights, c.to_views, t.view_sizes, *past, gain, limits[1], nexts, *out)
+    launch(
+        march_rays,
+        (height, width),
+        *steps,
+        depths,
+        weights,
+        c.to_views,
+        t.view_sizes,
+        *past,
+        gain,
+        limits[1],
+        nexts,
+        *out,
+    )

@@ -1,8 +1,9 @@
-"""The blending network and its refiner on a device: one kernel gathers each layer's input, convolutions are cuDNN's.
+"""The blending network and its refiner on a device: one kernel gathers each layer's input,
+convolutions are cuDNN's.
 
-Activations are (row, column, channel), as tensor cores want them. A convolution's output is kept as it comes; its mean and
-deviation are summed by two launches, and anyone who reads it normalises: pooling, enlarging, joining and padding cost no pass of
-their own.
+Activations are (row, column, channel), as tensor cores want them. A convolution's output is kept as
+it comes; its mean and deviation are summed by two launches, and anyone who reads it normalises:
+pooling, enlarging, joining and padding cost no pass of their own.
 """
 
 from functools import lru_cache
@@ -71,13 +72,20 @@ def reflected(at: wp.int32, size: wp.int32) -> wp.int32:
 
 
 @wp.func
-def normal(raw: wp.float32, stats: wp.array[wp.float32], gains: wp.array2d[wp.float32], c: wp.int32) -> wp.float32:
+def normal(
+    raw: wp.float32, stats: wp.array[wp.float32], gains: wp.array2d[wp.float32], c: wp.int32
+) -> wp.float32:
     """Return the normalised, limited below."""
     return wp.max((raw + gains[2, c] - stats[0]) * stats[1] * gains[0, c] + gains[1, c], 0.0)
 
 
 @wp.kernel
-def final_moments(partial: wp.array2d[wp.float64], count: wp.float64, epsilon: wp.float64, stats: wp.array[wp.float32]):
+def final_moments(
+    partial: wp.array2d[wp.float64],
+    count: wp.float64,
+    epsilon: wp.float64,
+    stats: wp.array[wp.float32],
+):
     """Mean, and one over the deviation, of what the threads of `moments` summed; one block."""
     _, lane = wp.tid()
     first = wp.float64(0.0)
@@ -100,12 +108,22 @@ def kernels_of(kind: Any) -> SimpleNamespace:
     load8, store8 = wide_access(kind)
 
     @wp.kernel(module="unique")
-    def moments(raw: wp.array(dtype=kind), channels: wp.int32, gains: wp.array2d[wp.float32], partial: wp.array2d[wp.float64]):
-        """Sums of a block's share of a layer's output and of its squares; channels is a multiple of 8."""
+    def moments(
+        raw: wp.array(dtype=kind),
+        channels: wp.int32,
+        gains: wp.array2d[wp.float32],
+        partial: wp.array2d[wp.float64],
+    ):
+        """Sums of a block's share of a layer's output and of its squares.
+
+        Channels is a multiple of 8.
+        """
         block, lane = wp.tid()
         first = wp.float32(0.0)
         second = wp.float32(0.0)
-        for n in range(block * wp.block_dim() + lane, raw.shape[0] // 8, partial.shape[0] * wp.block_dim()):
+        for n in range(
+            block * wp.block_dim() + lane, raw.shape[0] // 8, partial.shape[0] * wp.block_dim()
+        ):
             values = load8(raw, n)
             c = (8 * n) % channels
             for i in range(8):
@@ -119,8 +137,12 @@ def kernels_of(kind: Any) -> SimpleNamespace:
             partial[block, 1] = squares[0]
 
     @wp.kernel(module="unique")
-    def first_input(channels: wp.array3d[wp.float32], top: wp.int32, left: wp.int32, out: wp.array3d(dtype=kind)):
-        """The first layer's input: a size that the levels divide, by repetition, and a border by reflection."""
+    def first_input(
+        channels: wp.array3d[wp.float32], top: wp.int32, left: wp.int32, out: wp.array3d(dtype=kind)
+    ):
+        """The first layer's input: a size that the levels divide, by repetition, and a border by
+        reflection.
+        """
         y, x, c = wp.tid()
         value = wp.float32(0.0)
         if c < channels.shape[0]:
@@ -131,7 +153,10 @@ def kernels_of(kind: Any) -> SimpleNamespace:
 
     @wp.kernel(module="unique")
     def again(
-        raw: wp.array3d(dtype=kind), stats: wp.array[wp.float32], gains: wp.array2d[wp.float32], out: wp.array3d(dtype=kind)
+        raw: wp.array3d(dtype=kind),
+        stats: wp.array[wp.float32],
+        gains: wp.array2d[wp.float32],
+        out: wp.array3d(dtype=kind),
     ):
         y, x, c = wp.tid()
         value = wp.float32(raw[reflected(y, raw.shape[0]), reflected(x, raw.shape[1]), c])
@@ -139,7 +164,10 @@ def kernels_of(kind: Any) -> SimpleNamespace:
 
     @wp.kernel(module="unique")
     def pooled(
-        raw: wp.array3d(dtype=kind), stats: wp.array[wp.float32], gains: wp.array2d[wp.float32], out: wp.array3d(dtype=kind)
+        raw: wp.array3d(dtype=kind),
+        stats: wp.array[wp.float32],
+        gains: wp.array2d[wp.float32],
+        out: wp.array3d(dtype=kind),
     ):
         y, x, c = wp.tid()
         row = 2 * reflected(y, out.shape[0] - 2)
@@ -167,7 +195,12 @@ def kernels_of(kind: Any) -> SimpleNamespace:
             out[y, x, c] = kind(normal(wp.float32(skip[row, column, c]), skip_stats, skip_gains, c))
         else:
             d = c - skip.shape[2]
-            n = corners_around(enlarged_place(row, 0.5), enlarged_place(column, 0.5), below.shape[0], below.shape[1])
+            n = corners_around(
+                enlarged_place(row, 0.5),
+                enlarged_place(column, 0.5),
+                below.shape[0],
+                below.shape[1],
+            )
             a = normal(wp.float32(below[n.y0, n.x0, d]), below_stats, below_gains, d)
             b = normal(wp.float32(below[n.y0, n.x1, d]), below_stats, below_gains, d)
             e = normal(wp.float32(below[n.y1, n.x0, d]), below_stats, below_gains, d)
@@ -190,7 +223,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         left: wp.int32,
         out: wp.array3d[wp.float32],
     ):
-        """The last layer, softmax over the views, tanh of colours: `blend_network.small_outputs`, channel last."""
+        """The last layer, softmax over the views, tanh of colours: `blend_network.small_outputs`,
+        channel last.
+        """
         y, x = wp.tid()
         views = start.shape[0]
         row = y + top
@@ -200,7 +235,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
             if o < views or o >= most:
                 total = bias[o]
                 for c in range(weights.shape[1]):
-                    total += weights[o, c] * normal(wp.float32(raw[row, column, c]), stats, gains, c)
+                    total += weights[o, c] * normal(
+                        wp.float32(raw[row, column, c]), stats, gains, c
+                    )
                 if o < views:
                     if order[o] >= 0:
                         total += wp.log(wp.max(start[order[o]], _LEAST_WEIGHT))
@@ -233,7 +270,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         first: wp.int32,
         out: wp.array(dtype=kind),
     ):
-        """Evidence and features of a pixel, with a border that repeats: `refiner.evidence` and what the U-Net hands over."""
+        """Evidence and features of a pixel, with a border that repeats: `refiner.evidence` and what
+        the U-Net hands over.
+        """
         py, px = wp.tid()
         height = depth.shape[0]
         width = depth.shape[1]
@@ -274,7 +313,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         front[4] = wp.clamp(_DEPTH_GAIN / 2.0 * (high5 - low5), -1.0, 1.0)
         front[5] = wp.clamp(_CONTRAST_GAIN * (high - low), -1.0, 1.0)
         per = 1.0 / wp.float32(scale)
-        n = corners_around(enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1])
+        n = corners_around(
+            enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1]
+        )
         back = vec8()
         for c in range(8):
             s = first + c
@@ -291,9 +332,15 @@ def kernels_of(kind: Any) -> SimpleNamespace:
 
     @wp.kernel(module="unique")
     def between(
-        raw: wp.array(dtype=kind), height: wp.int32, width: wp.int32, shift: wp.array[wp.float32], out: wp.array(dtype=kind)
+        raw: wp.array(dtype=kind),
+        height: wp.int32,
+        width: wp.int32,
+        shift: wp.array[wp.float32],
+        out: wp.array(dtype=kind),
     ):
-        """Leaky limit of a convolution's output and the picture's shift, with a border that repeats."""
+        """Leaky limit of a convolution's output and the picture's shift, with a border that
+        repeats.
+        """
         py, px, part = wp.tid()
         y = wp.clamp(py - 1, 0, height - 1)
         x = wp.clamp(px - 1, 0, width - 1)
@@ -374,8 +421,8 @@ class DeviceNetwork:
         dtype: of activations and of the factors of convolutions; sums are float32.
 
     Reading:
-        Half precision moves a pixel of the picture by 0.005 levels of 255 at most on a benchmark's frames, and by 0.04 in a room
-        with stereo depth: a hundredth of what rounding to 8 bit does.
+        Half precision moves a pixel of the picture by 0.005 levels of 255 at most on a benchmark's
+        frames, and by 0.04 in a room with stereo depth: a hundredth of what rounding to 8 bit does.
     """
 
     def __init__(self, network: BlendNetwork, dtype: torch.dtype) -> None:
@@ -383,7 +430,8 @@ class DeviceNetwork:
         self._kernels, self._device = kernels_of(OF_WARP[dtype]), network.scale.device
         assert self._refiner is not None  # `covers` asks for it
         unet = network.unet
-        with torch.no_grad():  # detached: Warp allocates a gradient for every tensor that requires one, at every launch
+        # detached: Warp allocates a gradient for every tensor that requires one, at every launch
+        with torch.no_grad():
             modules = [module for block in (*unet.down, *unet.up) for module in block.modules()]
             convolutions = [module for module in modules if isinstance(module, nn.Conv2d)]
             norms = [module for module in modules if isinstance(module, nn.GroupNorm)]
@@ -391,10 +439,13 @@ class DeviceNetwork:
             self._layers = [self._filters(convolution) for convolution in convolutions]
             pairs = zip(norms, convolutions, strict=True)
             self._gains = [
-                torch.stack([norm.weight, norm.bias, convolution.bias]).detach().contiguous() for norm, convolution in pairs
+                torch.stack([norm.weight, norm.bias, convolution.bias]).detach().contiguous()
+                for norm, convolution in pairs
             ]
             self._last = _matrix(unet.last)
-            self._looks = [(self._filters(look), look.bias.detach()) for look in self._refiner.looks]
+            self._looks = [
+                (self._filters(look), look.bias.detach()) for look in self._refiner.looks
+            ]
             taps, bias = _matrix(self._refiner.taps)
             self._taps = taps.view(-1), bias
 
@@ -427,10 +478,29 @@ class DeviceNetwork:
             below = self._block(padded, layers)
         most, outputs = self.config.views, self._last[0].shape[0]
         out = torch.empty((height, width, outputs - most + len(weights)), device=self._device)
-        launch(self._kernels.small_outputs, (height, width), *below, *self._last, weights, order, most, top, left, out)
+        launch(
+            self._kernels.small_outputs,
+            (height, width),
+            *below,
+            *self._last,
+            weights,
+            order,
+            most,
+            top,
+            left,
+            out,
+        )
         return out
 
-    def refined(self, image: Tensor, spread: Tensor, coverage: Tensor, logarithm: Tensor, depth: Tensor, small: Tensor) -> Tensor:
+    def refined(
+        self,
+        image: Tensor,
+        spread: Tensor,
+        coverage: Tensor,
+        logarithm: Tensor,
+        depth: Tensor,
+        small: Tensor,
+    ) -> Tensor:
         """Return the composed picture, (3, H, W), with every pixel's filter applied, in [0, 1].
 
         Args:
@@ -449,10 +519,26 @@ class DeviceNetwork:
         launch(self._kernels.look_input, padded.shape[:2], *seen_maps, padded.view(-1))
         (first, first_bias), (second, second_bias) = self._looks
         raw, inner = self._convolved(padded, first), self._padded(height, width, 2 * CHANNELS)
-        launch(self._kernels.between, (*inner.shape[:2], 2), raw.view(-1), height, width, shifts[0] + first_bias, inner.view(-1))
+        launch(
+            self._kernels.between,
+            (*inner.shape[:2], 2),
+            raw.view(-1),
+            height,
+            width,
+            shifts[0] + first_bias,
+            inner.view(-1),
+        )
         raw, out = self._convolved(inner, second), torch.empty_like(image)
         conditions = shifts[1] + second_bias, shifts[2]
-        launch(self._kernels.finish, (height, width), raw.view(-1), *conditions, *self._taps, image, out)
+        launch(
+            self._kernels.finish,
+            (height, width),
+            raw.view(-1),
+            *conditions,
+            *self._taps,
+            image,
+            out,
+        )
         return out
 
     def _filters(self, convolution: nn.Module) -> Tensor:
@@ -476,14 +562,20 @@ class DeviceNetwork:
     @staticmethod
     def _convolved(padded: Tensor, filters: Tensor) -> Tensor:
         """(H + 2, W + 2, C) to (H, W, C'); anyone who reads it adds the bias."""
-        return functional.conv2d(padded.permute(2, 0, 1)[None], filters)[0].permute(1, 2, 0).contiguous()
+        return (
+            functional.conv2d(padded.permute(2, 0, 1)[None], filters)[0]
+            .permute(1, 2, 0)
+            .contiguous()
+        )
 
     def _moments(self, raw: Tensor, gains: Tensor) -> Tensor:
         """Return the mean of a layer's output and one over its deviation, (2,)."""
         blocks = max(1, min(MOST_BLOCKS, raw.numel() // (CHANNELS * BLOCK)))
         partial = torch.empty((blocks, 2), dtype=torch.float64, device=raw.device)
         stats = torch.empty(2, device=raw.device)
-        launch(self._kernels.moments, [blocks], raw.view(-1), raw.shape[2], gains, partial, block=BLOCK)
+        launch(
+            self._kernels.moments, [blocks], raw.view(-1), raw.shape[2], gains, partial, block=BLOCK
+        )
         launch(final_moments, [1], partial, float(raw.numel()), self._epsilon, stats, block=BLOCK)
         return stats
 

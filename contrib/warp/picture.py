@@ -1,4 +1,6 @@
-"""From registered views to a picture: maps and channels of the network's size, push-pull, and composition (Eqs. 4-5)."""
+"""From registered views to a picture: maps and channels of the network's size, push-pull, and
+composition (Eqs. 4-5).
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +12,13 @@ from ggvs_eval.contrib.warp.constants import FAR, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.network import DeviceNetwork
 from ggvs_eval.contrib.warp.splat import DeviceSplats
-from ggvs_eval.contrib.warp.tables import Corners, Tables, corners_around, enlarged_place, masked_median
+from ggvs_eval.contrib.warp.tables import (
+    Corners,
+    Tables,
+    corners_around,
+    enlarged_place,
+    masked_median,
+)
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import refiner
 from ggvs_eval.pipelines.online.blend_network import SURE
@@ -68,8 +76,12 @@ def reduce_maps(
         row = wp.min(y * scale + v, height - 1)
         for u in range(scale):
             column = wp.min(x * scale + u, width - 1)
-            sums += wp.vec3f(colours[k, 0, row, column], colours[k, 1, row, column], colours[k, 2, row, column])
-            flat += wp.vec3f(coverage[k, row, column], visibilities[k, row, column], alphas[k, row, column])
+            sums += wp.vec3f(
+                colours[k, 0, row, column], colours[k, 1, row, column], colours[k, 2, row, column]
+            )
+            flat += wp.vec3f(
+                coverage[k, row, column], visibilities[k, row, column], alphas[k, row, column]
+            )
     count = wp.float32(scale * scale)
     for c in range(3):
         out[k, c, y, x] = sums[c] / count
@@ -85,7 +97,11 @@ def reduce_maps(
 
 @wp.func
 def surface_point(
-    fused: wp.array2d[wp.float32], pinhole: wp.array[wp.float64], far: wp.float32, y: wp.int32, x: wp.int32
+    fused: wp.array2d[wp.float32],
+    pinhole: wp.array[wp.float64],
+    far: wp.float32,
+    y: wp.int32,
+    x: wp.int32,
 ) -> wp.vec3f:
     """Point of the surface in the target's frame; on the far plane where it is unknown."""
     z = fused[y, x]
@@ -126,7 +142,10 @@ def network_channels(
     registered: wp.bool,
     out: wp.array3d[wp.float32],
 ):
-    """The groups of `input_channels` of every view; `maps` and `depths` are those of `reduced_maps`."""
+    """The groups of `input_channels` of every view.
+
+    `maps` and `depths` are those of `reduced_maps`.
+    """
     y, x = wp.tid()
     views = maps.shape[0]
     height = depths.shape[1]
@@ -140,15 +159,25 @@ def network_channels(
     left = wp.max(x - 1, 0)
     right = wp.min(x + 1, width - 1)
     far = numbers[FAR]
-    # A power of two rounds nothing, and scales lengths to about 1. Its bits are those of an exponent.
+    # A power of two rounds nothing, and scales lengths to about 1. Its bits are those of an
+    # exponent.
     per = wp.cast((254 - (wp.cast(length, wp.int32) >> 23)) << 23, wp.float32)
     point = per * surface_point(fused, pinhole, far, y, x)
-    along_column = per * surface_point(fused, pinhole, far, lower, x) - per * surface_point(fused, pinhole, far, upper, x)
-    along_row = per * surface_point(fused, pinhole, far, y, right) - per * surface_point(fused, pinhole, far, y, left)
+    along_column = per * surface_point(fused, pinhole, far, lower, x) - per * surface_point(
+        fused, pinhole, far, upper, x
+    )
+    along_row = per * surface_point(fused, pinhole, far, y, right) - per * surface_point(
+        fused, pinhole, far, y, left
+    )
     normal = unit(wp.cross(along_column, along_row))
     away = wp.dot(normal, point)
     facing = wp.float32(0.0)
-    around = fused[y, left] > 0.0 and fused[y, right] > 0.0 and fused[upper, x] > 0.0 and fused[lower, x] > 0.0
+    around = (
+        fused[y, left] > 0.0
+        and fused[y, right] > 0.0
+        and fused[upper, x] > 0.0
+        and fused[lower, x] > 0.0
+    )
     if fused[y, x] > 0.0 and around:
         if away < 0.0:
             facing = wp.float32(1.0)
@@ -173,8 +202,13 @@ def network_channels(
 
 
 @wp.kernel
-def give_places(coverage: wp.array[wp.float32], places: wp.array[wp.int32], order: wp.array[wp.int32]):
-    """Places of the views at the network, and the view of each; one that covers no pixel has none, unless none does."""
+def give_places(
+    coverage: wp.array[wp.float32], places: wp.array[wp.int32], order: wp.array[wp.int32]
+):
+    """Places of the views at the network, and the view of each.
+
+    One that covers no pixel has none, unless none does.
+    """
     wp.tid()
     views = coverage.shape[0]
     largest = wp.float32(0.0)
@@ -192,7 +226,10 @@ def give_places(coverage: wp.array[wp.float32], places: wp.array[wp.int32], orde
 
 @wp.kernel
 def share_out(
-    small: wp.array3d[wp.float32], maps: wp.array4d[wp.float32], places: wp.array[wp.int32], out: wp.array3d[wp.float32]
+    small: wp.array3d[wp.float32],
+    maps: wp.array4d[wp.float32],
+    places: wp.array[wp.int32],
+    out: wp.array3d[wp.float32],
 ):
     """Share of each view in the picture, see `view_shares` of the network blender."""
     y, x = wp.tid()
@@ -208,7 +245,11 @@ def share_out(
     for k in range(views):
         out[k, y, x] = 0.0
         if places[k] >= 0:
-            out[k, y, x] = small[y, x, places[k]] * maps[k, 3, y, x] * ((1.0 - behind) / wp.max(total, _LEAST_WEIGHT))
+            out[k, y, x] = (
+                small[y, x, places[k]]
+                * maps[k, 3, y, x]
+                * ((1.0 - behind) / wp.max(total, _LEAST_WEIGHT))
+            )
 
 
 @wp.kernel
@@ -235,7 +276,9 @@ def average_known(
                     * certainty[row, column]
                 )
                 weight += share
-                total += share * wp.vec3f(colours[0, row, column], colours[1, row, column], colours[2, row, column])
+                total += share * wp.vec3f(
+                    colours[0, row, column], colours[1, row, column], colours[2, row, column]
+                )
     for c in range(3):
         coarse[c, y, x] = total[c] / wp.max(weight, 1e-6)
     coarse_known[y, x] = wp.min(4.0 * weight, 1.0)
@@ -253,7 +296,10 @@ def fill_unknown(
     column_shares: wp.array[wp.float32],
     out: wp.array3d[wp.float32],
 ):
-    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none if all are known."""
+    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown.
+
+    None if all are known.
+    """
     y, x = wp.tid()
     certainty = certainties[y, x]
     fx = column_shares[x]
@@ -302,8 +348,14 @@ def mean_of_views(
 @wp.func
 def blended(small: wp.array3d[wp.float32], q: Corners, channel: wp.int32):
     """A channel of a small map (h, w, C) between the four corners."""
-    upper = (1.0 - q.fy) * (1.0 - q.fx) * small[q.y0, q.x0, channel] + (1.0 - q.fy) * q.fx * small[q.y0, q.x1, channel]
-    return upper + q.fy * (1.0 - q.fx) * small[q.y1, q.x0, channel] + q.fy * q.fx * small[q.y1, q.x1, channel]
+    upper = (1.0 - q.fy) * (1.0 - q.fx) * small[q.y0, q.x0, channel] + (1.0 - q.fy) * q.fx * small[
+        q.y0, q.x1, channel
+    ]
+    return (
+        upper
+        + q.fy * (1.0 - q.fx) * small[q.y1, q.x0, channel]
+        + q.fy * q.fx * small[q.y1, q.x1, channel]
+    )
 
 
 @wp.kernel
@@ -321,11 +373,15 @@ def compose(
     coverages: wp.array2d[wp.float32],
     logarithm: wp.array2d[wp.float32],
 ):
-    """Views over the background (Eqs. 4-5), their spread, how many show the pixel, and the depth's logarithm."""
+    """Views over the background (Eqs. 4-5), their spread, how many show the pixel, and the depth's
+    logarithm.
+    """
     y, x = wp.tid()
     views = coverage.shape[0]
     per = 1.0 / wp.float32(scale)
-    q = corners_around(enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1])
+    q = corners_around(
+        enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1]
+    )
     total = wp.float32(0.0)
     visible = wp.float32(0.0)
     coverage_sum = wp.float32(0.0)
@@ -367,35 +423,63 @@ def compose(
 
 
 def fill_holes(colours: Tensor, certainty: Tensor, t: Tables) -> Tensor:
-    """Fill what is not known, (H, W), of a picture (3, H, W) from ever coarser averages, as the compiled `push_pull`."""
+    """Fill what is not known, (H, W), of a picture (3, H, W) from ever coarser averages, as the
+    compiled `push_pull`.
+    """
     height, width = certainty.shape
     if min(height, width) < 2:
         return colours
     small, device = ((height + 1) // 2, (width + 1) // 2), certainty.device
-    coarse, coarse_known = torch.empty((3, *small), device=device), torch.empty(small, device=device)
+    coarse, coarse_known = (
+        torch.empty((3, *small), device=device),
+        torch.empty(small, device=device),
+    )
     cells = (*t.area_cells((height,), small[:1]), *t.area_cells((width,), small[1:]))
     launch(average_known, small, colours, certainty, *cells, coarse, coarse_known)
     between = (*t.between_cells(height, small[0]), *t.between_cells(width, small[1]))
     out = torch.empty_like(colours)
-    is_complete = (certainty > 0).all()[None]  # stays on the device: what is not needed is computed, and not looked at
-    launch(fill_unknown, certainty.shape, colours, certainty, is_complete, fill_holes(coarse, coarse_known, t), *between, out)
+    # stays on the device: what is not needed is computed, and not looked at
+    is_complete = (certainty > 0).all()[None]
+    launch(
+        fill_unknown,
+        certainty.shape,
+        colours,
+        certainty,
+        is_complete,
+        fill_holes(coarse, coarse_known, t),
+        *between,
+        out,
+    )
     return out
 
 
 def reduced_maps(maps: DeviceMaps, t: Tables) -> tuple[Tensor, Tensor]:
-    """Colours, coverages, visibilities and alphas at the network's size, (K, 6, h, w), and depths, the fused one last."""
+    """Colours, coverages, visibilities and alphas at the network's size, (K, 6, h, w), and depths,
+    the fused one last.
+    """
     (width, height), scale, views = t.sizes.network, t.sizes.scale, len(maps.colours)
     means, picked = (
-        torch.empty(size, device=maps.fused.device) for size in ((views, 6, height, width), (views + 1, height, width))
+        torch.empty(size, device=maps.fused.device)
+        for size in ((views, 6, height, width), (views + 1, height, width))
     )
     corner = (min(scale // 2, length - 1) for length in maps.fused.shape)
-    stacks = (maps.colours, maps.coverage, maps.visibilities, maps.splats.alphas, maps.splats.depths, maps.fused)
+    stacks = (
+        maps.colours,
+        maps.coverage,
+        maps.visibilities,
+        maps.splats.alphas,
+        maps.splats.depths,
+        maps.fused,
+    )
     launch(reduce_maps, (views, height, width), *stacks, scale, *corner, means, picked)
     return means, picked
 
 
-def input_channels(means: Tensor, depths: Tensor, places: Tensor, registered: bool, most: int, c: StepConstants) -> Tensor:
-    """Return the input channels of the network, (channels, h, w), see `input_channels` of the compiled path.
+def input_channels(
+    means: Tensor, depths: Tensor, places: Tensor, registered: bool, most: int, c: StepConstants
+) -> Tensor:
+    """Return the input channels of the network, (channels, h, w), see `input_channels` of the
+    compiled path.
 
     Args:
         means, depths: by `reduced_maps`.
@@ -406,21 +490,47 @@ def input_channels(means: Tensor, depths: Tensor, places: Tensor, registered: bo
     fused = depths[-1]
     channels = channel_count(most, "registered" if registered else "channels")
     out = torch.zeros((channels, *fused.shape), device=fused.device)
-    maps = (means, depths, c.small_target, c.numbers, masked_median(fused, fused > 0), c.centres, c.distances, c.axes, places)
+    maps = (
+        means,
+        depths,
+        c.small_target,
+        c.numbers,
+        masked_median(fused, fused > 0),
+        c.centres,
+        c.distances,
+        c.axes,
+        places,
+    )
     launch(network_channels, fused.shape, *maps, most, registered, out)
     return out
 
 
-def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: StepConstants, t: Tables) -> tuple[Tensor, Tensor]:
-    """Blend the views by the network: the picture (3, H, W) in [0, 1], and the share of each view, (K, h, w)."""
+def blend_views(
+    network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: StepConstants, t: Tables
+) -> tuple[Tensor, Tensor]:
+    """Blend the views by the network: the picture (3, H, W) in [0, 1], and the share of each view,
+    (K, h, w).
+    """
     size, device = maps.fused.shape, maps.fused.device
     means, depths = reduced_maps(maps, t)
     places, order = (torch.empty(len(means), dtype=torch.int32, device=device) for _ in range(2))
     launch(give_places, 1, maps.splats.alphas.amax(dim=(1, 2)), places, order)
-    small = network.small(input_channels(means, depths, places, registered, network.config.views, c), c.weights, order)
+    small = network.small(
+        input_channels(means, depths, places, registered, network.config.views, c), c.weights, order
+    )
     mean, image = (torch.empty((3, *size), device=device) for _ in range(2))
     covered, spread, coverages, logarithm = (torch.empty(size, device=device) for _ in range(4))
-    launch(mean_of_views, size, maps.colours, maps.coverage, maps.splats.alphas, c.weights, places, mean, covered)
+    launch(
+        mean_of_views,
+        size,
+        maps.colours,
+        maps.coverage,
+        maps.splats.alphas,
+        c.weights,
+        places,
+        mean,
+        covered,
+    )
     stacks = (
         maps.colours,
         maps.coverage,
@@ -438,7 +548,9 @@ def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: S
 
 
 @wp.kernel
-def write_pixels(picture: wp.array3d[wp.float32], image: wp.array3d[wp.float32], levels: wp.array3d[wp.uint8]):
+def write_pixels(
+    picture: wp.array3d[wp.float32], image: wp.array3d[wp.float32], levels: wp.array3d[wp.uint8]
+):
     """A picture (3, H, W) pixel by pixel, and in 8 bit."""
     y, x = wp.tid()
     for c in range(3):

@@ -1,4 +1,6 @@
-"""Parts of training samples, on a device: views splatted and warped, and what geometric weights make of them."""
+"""Parts of training samples, on a device: views splatted and warped, and what geometric weights
+make of them.
+"""
 
 from collections.abc import Mapping
 
@@ -22,7 +24,8 @@ from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
 
 def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device) -> dict[str, Map]:
-    """Compute the maps of one instant that a training sample holds, and the geometric blender's picture.
+    """Compute the maps of one instant that a training sample holds, and the geometric blender's
+    picture.
 
     Args:
         instant: its sources have the order of the maps.
@@ -30,37 +33,54 @@ def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device)
         device: a GPU, or the CPU for tests.
 
     Returns:
-        By the names of a training sample, all float32: ``splats`` and ``warps``, (K, H, W, 3), ``alphas``, ``depths`` and
-        ``visibilities``, (K, H, W), ``fused_depth``, (H, W); ``geometric``: the picture of `GeometricBlender`, (H, W, 3).
+        By the names of a training sample, all float32: ``splats`` and ``warps``, (K, H, W, 3),
+        ``alphas``, ``depths`` and ``visibilities``, (K, H, W), ``fused_depth``, (H, W);
+        ``geometric``: the picture of `GeometricBlender`, (H, W, 3).
 
     Raises:
         DeviceError: the GPU's memory is out.
 
     Reading:
-        On a CPU all except the colours of warps and of the picture have the bits of the compiled path; those differ by up to
-        1e-6, since images are taken in 8 bit here, and in [0, 1] by `warp`.
+        On a CPU all except the colours of warps and of the picture have the bits of the compiled
+        path; those differ by up to 1e-6, since images are taken in 8 bit here, and in [0, 1] by
+        `warp`.
     """
     target, sources, room = instant.target, instant.sources, PAIRS_PER_GAUSSIAN
     tau = options.tau_m * instant.units_per_metre
     with out_of_memory(device, "take smaller samples"), torch.inference_mode():
-        program = Program(Sizes(tuple(source.camera.size for source in sources), target.size, 1), 1, device)
+        program = Program(
+            Sizes(tuple(source.camera.size for source in sources), target.size, 1), 1, device
+        )
         end = march_end(target, tau, options.min_step, [source.depth for source in sources])
         program.constants.fill(instant, sources, options, end, None, [0] * program.sizes.pairs)
         program.upload(sources, 0)
         with program.working(launching=True):
             while True:
                 maps, crowding = _maps(program, options, room)
-                *arrays, needed = program.downloaded([tensor.contiguous() for tensor in (*maps.values(), crowding)])
+                *arrays, needed = program.downloaded(
+                    [tensor.contiguous() for tensor in (*maps.values(), crowding)]
+                )
                 if needed[0] <= room:
                     return dict(zip(maps, arrays, strict=True))
                 room = ROOM * float(needed[0])
 
 
-def _maps(program: Program, options: OnlineOptions, room: float) -> tuple[Mapping[str, Tensor], Tensor]:
+def _maps(
+    program: Program, options: OnlineOptions, room: float
+) -> tuple[Mapping[str, Tensor], Tensor]:
     """Compute `sampled_maps` on the device, with `DeviceSplats.crowding`."""
-    c, t, images, depths = program.constants, program.tables, program.states[0].images, program.depths
+    c, t, images, depths = (
+        program.constants,
+        program.tables,
+        program.states[0].images,
+        program.depths,
+    )
     splats = splat_views(images, depths, torch.ones_like(depths), c, t, room)
-    weights, past, out = weigh_depths(depths, c, t), program.states[1].march, program.states[0].march
+    weights, past, out = (
+        weigh_depths(depths, c, t),
+        program.states[1].march,
+        program.states[0].march,
+    )
     no_gain = torch.full_like(out[0], -1.0)  # no past
     march(depths, weights, past, no_gain, c, t, (options.min_step, options.eta), out)
     surface = settle_depth(out[0], images, splats, c, t) if options.settled else out[0]
@@ -78,8 +98,12 @@ def _maps(program: Program, options: OnlineOptions, room: float) -> tuple[Mappin
     return maps, splats.crowding
 
 
-def _blend_geometrically(program: Program, splats: DeviceSplats, warps: Tensor, visibilities: Tensor) -> Tensor:
-    """Blend warped views by visibility and parallax over the splats' mean, (3, H, W), as `GeometricBlender` does."""
+def _blend_geometrically(
+    program: Program, splats: DeviceSplats, warps: Tensor, visibilities: Tensor
+) -> Tensor:
+    """Blend warped views by visibility and parallax over the splats' mean, (3, H, W), as
+    `GeometricBlender` does.
+    """
     weights = program.constants.weights[:, None, None]
     splatted = splats.features[..., :3].permute(0, 3, 1, 2)
     mean = weighted_mean_tensor(splatted[None], (weights * splats.alphas)[None])[0]

@@ -1,7 +1,9 @@
-"""Forward rendering of all views (paper 3.1): Gaussians sorted by depth, listed by tile, and blended pixel by pixel.
+"""Forward rendering of all views (paper 3.1): Gaussians sorted by depth, listed by tile, and
+blended pixel by pixel.
 
-Every kernel gathers; none adds into what another thread adds into, so that equal inputs give equal bits. What blending reads of a
-Gaussian is one record of 48 bytes. Tiles are 8 x 8: a list is then 2.4 times as short as one of 16 x 16, for 1.6 times the pairs.
+Every kernel gathers; none adds into what another thread adds into, so that equal inputs give equal
+bits. What blending reads of a Gaussian is one record of 48 bytes. Tiles are 8 x 8: a list is then
+2.4 times as short as one of 16 x 16, for 1.6 times the pairs.
 """
 
 from dataclasses import dataclass
@@ -32,7 +34,8 @@ class DeviceSplats:
         features: colours in [0, 1] and difference mask, (K, H, W, 4), float32.
         alphas: coverage, (K, H, W).
         depths: z in the target camera, (K, H, W), world units.
-        crowding: pairs of a Gaussian and a tile, per Gaussian, that a list needs, (1,); those beyond its room are lost.
+        crowding: pairs of a Gaussian and a tile, per Gaussian, that a list needs, (1,); those
+            beyond its room are lost.
     """
 
     features: Tensor
@@ -43,7 +46,9 @@ class DeviceSplats:
 
 @wp.struct
 class Footprint:
-    """A Gaussian in the target image: position in pixel indices, depth, covariance, half extents."""
+    """A Gaussian in the target image: position in pixel indices, depth, covariance, half
+    extents.
+    """
 
     visible: wp.bool
     u: wp.float32
@@ -57,7 +62,9 @@ class Footprint:
 
 
 @wp.func
-def project(p: wp.array[wp.float32], column: wp.int32, row: wp.int32, source_depth: wp.float32) -> Footprint:
+def project(
+    p: wp.array[wp.float32], column: wp.int32, row: wp.int32, source_depth: wp.float32
+) -> Footprint:
     """Return the steps 1 to 4 of the splat; `p` is a row of `projectors`."""
     f = Footprint()
     f.visible = False
@@ -101,7 +108,10 @@ def prepare(
     boxes: wp.array[wp.vec2i],
     records: wp.array[wp.float32],
 ):
-    """Of every source pixel: depth in the target as a key, tiles and record; bits of positive floats sort like the floats."""
+    """Of every source pixel: depth in the target as a key, tiles and record.
+
+    Bits of positive floats sort like the floats.
+    """
     k, row, column = wp.tid()
     p = projectors[k]
     f = project(p, column, row, depths[k, row, column])
@@ -128,7 +138,12 @@ def prepare(
 
 
 @wp.kernel
-def count_tiles(keys: wp.array[wp.int32], ids: wp.array[wp.int32], boxes: wp.array[wp.vec2i], counts: wp.array[wp.int32]):
+def count_tiles(
+    keys: wp.array[wp.int32],
+    ids: wp.array[wp.int32],
+    boxes: wp.array[wp.vec2i],
+    counts: wp.array[wp.int32],
+):
     """Count the tiles of each Gaussian, front to back."""
     n = wp.tid()
     touched = wp.int32(0)
@@ -151,7 +166,10 @@ def list_pairs(
     keys: wp.array[wp.int32],
     values: wp.array[wp.int32],
 ):
-    """The tiles of each Gaussian, front to back, as pairs of tile and number; `ends` is the inclusive sum of the counts."""
+    """The tiles of each Gaussian, front to back, as pairs of tile and number.
+
+    `ends` is the inclusive sum of the counts.
+    """
     n = wp.tid()
     touched = counts[n]
     if touched == 0:
@@ -170,7 +188,9 @@ def list_pairs(
 
 
 @wp.kernel
-def find_ends(keys: wp.array[wp.int32], count: wp.int32, starts: wp.array[wp.int32], ends: wp.array[wp.int32]):
+def find_ends(
+    keys: wp.array[wp.int32], count: wp.int32, starts: wp.array[wp.int32], ends: wp.array[wp.int32]
+):
     """Range of the pairs of each tile; those of no tile sort last."""
     n = wp.tid()
     tile = keys[n]
@@ -237,7 +257,9 @@ def blend_tiles(
     alphas: wp.array3d[wp.float32],
     depths: wp.array3d[wp.float32],
 ):
-    """Steps 6 to 8 of two pixels, half a tile apart: its Gaussians front to back, the next record on its way meanwhile."""
+    """Steps 6 to 8 of two pixels, half a tile apart: its Gaussians front to back, the next record
+    on its way meanwhile.
+    """
     k, tile, lane = wp.tid()
     x = (tile % across) * _TILE + lane % _TILE
     y = (tile // across) * _TILE + lane // _TILE
@@ -297,55 +319,99 @@ def blend_tiles(
     write_pixel(q, k, y + _HALF, x, features, alphas, depths)
 
 
-def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants, t: Tables, per_gaussian: float) -> DeviceSplats:
+def splat_views(
+    images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants, t: Tables, per_gaussian: float
+) -> DeviceSplats:
     """Splat every view alone, colours and mask, as `splat` of the compiled path does.
 
     Args:
         images: (K, H, W, 3), uint8.
         depths: where the Gaussians are, (K, H, W).
         masks: a fourth feature, (K, H, W).
-        per_gaussian: pairs of a Gaussian and a tile that there is room for, in the mean; see `DeviceSplats.crowding`.
+        per_gaussian: pairs of a Gaussian and a tile that there is room for, in the mean; see
+            `DeviceSplats.crowding`.
 
     Reading:
-        Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled splat does, equal depths in
-        reading order; sorting pairs at once by 64 bits would move twice the bytes. Views are sorted together as long as they
-        have at most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device
-        alone: room is kept for a number of them, and anyone who reads the picture sees whether it was enough.
+        Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled
+        splat does, equal depths in reading order; sorting pairs at once by 64 bits would move twice
+        the bytes. Views are sorted together as long as they have at most 2^16 tiles: the sort then
+        takes two passes, not three. How many pairs there are is known on the device alone: room is
+        kept for a number of them, and anyone who reads the picture sees whether it was enough.
     """
     (width, height), device = t.sizes.target, depths.device
     across, down = -(-width // TILE), -(-height // TILE)
     tiles, views = across * down, len(depths)
-    features, alphas = torch.empty((views, height, width, 4), device=device), torch.empty((views, height, width), device=device)
+    features, alphas = (
+        torch.empty((views, height, width, 4), device=device),
+        torch.empty((views, height, width), device=device),
+    )
     z, needed = torch.empty_like(alphas), []
     group = max((SHORT_KEYS - 1) // tiles, 1)
     for first in range(0, views, group):
         part = slice(first, min(first + group, views))
         inputs = depths[part], c.projectors[part], images[part], masks[part]
-        needed.append(_splat_group(inputs, across, tiles, per_gaussian, (features[part], alphas[part], z[part])))
+        needed.append(
+            _splat_group(
+                inputs, across, tiles, per_gaussian, (features[part], alphas[part], z[part])
+            )
+        )
     return DeviceSplats(features, alphas, z, torch.stack(needed).amax(dim=0))
 
 
 def _splat_group(
-    views: tuple[Tensor, ...], across: int, tiles: int, per_gaussian: float, out: tuple[Tensor, Tensor, Tensor]
+    views: tuple[Tensor, ...],
+    across: int,
+    tiles: int,
+    per_gaussian: float,
+    out: tuple[Tensor, Tensor, Tensor],
 ) -> Tensor:
     """Return the views whose pairs are sorted together; returns how many pairs a Gaussian has."""
     depths, device = views[0], views[0].device
     count, capacity = depths.numel(), int(per_gaussian * depths.numel()) + 1
     keys, ids = (torch.empty(2 * count, dtype=torch.int32, device=device) for _ in range(2))
-    boxes, records = torch.empty((count, 2), dtype=torch.int32, device=device), torch.empty(12 * count, device=device)
+    boxes, records = (
+        torch.empty((count, 2), dtype=torch.int32, device=device),
+        torch.empty(12 * count, device=device),
+    )
     launch(prepare, depths.shape, *views, keys, ids, boxes, records)
     sort_pairs(keys, ids, count, DEPTH_BITS)
     counts = torch.empty(count, dtype=torch.int32, device=device)
     launch(count_tiles, count, keys, ids, boxes, counts)
     sums = torch.cumsum(counts, 0, dtype=torch.int32)
     places = len(depths) * tiles
-    listed = torch.full((2 * capacity,), places, dtype=torch.int32, device=device)  # of unused places: sorts last
+    # of unused places: sorts last
+    listed = torch.full((2 * capacity,), places, dtype=torch.int32, device=device)
     numbers = torch.empty(2 * capacity, dtype=torch.int32, device=device)
-    launch(list_pairs, count, counts, sums, boxes, ids, depths[0].numel(), across, tiles, capacity, listed, numbers)
+    launch(
+        list_pairs,
+        count,
+        counts,
+        sums,
+        boxes,
+        ids,
+        depths[0].numel(),
+        across,
+        tiles,
+        capacity,
+        listed,
+        numbers,
+    )
     sort_pairs(listed, numbers, capacity, places.bit_length())
     begins, ends = (torch.zeros(places, dtype=torch.int32, device=device) for _ in range(2))
     launch(find_ends, capacity, listed, capacity, begins, ends)
     features, alphas, z = out
     threads = (len(depths), tiles, TILE**2 // 2)
-    launch(blend_tiles, threads, begins, ends, numbers, records, across, tiles, features.view(-1), alphas, z)
+    launch(
+        blend_tiles,
+        threads,
+        begins,
+        ends,
+        numbers,
+        records,
+        across,
+        tiles,
+        features.view(-1),
+        alphas,
+        z,
+    )
     return sums[-1:] / count

@@ -1,4 +1,7 @@
-"""The whole online step on a device: uploads, one recording, one download; state stays there between the instants."""
+"""The whole online step on a device: uploads, one recording, one download.
+
+State stays there between the instants.
+"""
 
 import gc
 from collections import OrderedDict
@@ -66,7 +69,12 @@ class State:
     @classmethod
     def empty(cls, sizes: Sizes, rows: int, device: torch.device) -> "State":
         """Return a state in which nothing is remembered."""
-        (wide, high), (width, height), (w, h), views = sizes.largest, sizes.target, sizes.cells, len(sizes.views)
+        (wide, high), (width, height), (w, h), views = (
+            sizes.largest,
+            sizes.target,
+            sizes.cells,
+            len(sizes.views),
+        )
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros(shape, dtype=dtype, device=device)
@@ -83,7 +91,9 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Output of a step for the host: the picture as float32 and in 8 bit, (H, W, 3), and the rest of `Rendering`."""
+    """Output of a step for the host: the picture as float32 and in 8 bit, (H, W, 3), and the rest
+    of `Rendering`.
+    """
 
     image: Tensor
     levels: Tensor
@@ -95,18 +105,23 @@ class Results:
     def empty(cls, sizes: Sizes, device: torch.device) -> "Results":
         """Room for the results of a step."""
         (width, height), (w, h), (wide, high) = sizes.target, sizes.cells, sizes.network
-        maps = {name: torch.zeros((h, w), device=device) for name in ("coverage", "motion", "depth")}
+        maps = {
+            name: torch.zeros((h, w), device=device) for name in ("coverage", "motion", "depth")
+        }
         maps["weights"] = torch.zeros((len(sizes.views), high, wide), device=device)
         image = torch.zeros((height, width, 3), device=device)
-        return cls(image, image.to(torch.uint8), image[..., 0].clone(), maps, torch.zeros(1, device=device))
+        return cls(
+            image, image.to(torch.uint8), image[..., 0].clone(), maps, torch.zeros(1, device=device)
+        )
 
 
 class Program:
-    """Memory of a step of given sizes, at fixed places: inputs, constants, tables, two states and results.
+    """Memory of a step of given sizes, at fixed places: inputs, constants, tables, two states and
+    results.
 
-    A step reads one state and writes the other. If it reads the program's own state, it is recorded once per order and
-    replayed; one that reads the state of another program, after a source was lost or the target's size has changed, runs call
-    by call. So does all on the CPU.
+    A step reads one state and writes the other. If it reads the program's own state, it is recorded
+    once per order and replayed; one that reads the state of another program, after a source was
+    lost or the target's size has changed, runs call by call. So does all on the CPU.
 
     Args:
         sizes: of the step.
@@ -118,7 +133,10 @@ class Program:
         self.sizes, self.device = sizes, device
         self.tables, self.constants = Tables(sizes, device), StepConstants(sizes, device)
         self.states = State.empty(sizes, rows, device), State.empty(sizes, rows, device)
-        self.depths, self.results = torch.zeros_like(self.states[0].depths), Results.empty(sizes, device)
+        self.depths, self.results = (
+            torch.zeros_like(self.states[0].depths),
+            Results.empty(sizes, device),
+        )
         self.work, self.warm = WorkStream(device), False
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
         self._on_gpu = device.type == "cuda"
@@ -130,13 +148,23 @@ class Program:
             self._depths = torch.zeros(self.depths.shape, **pinned)
 
     def upload(self, sources: Sequence[SourceView], after: int) -> None:
-        """Copy images and depths where the step reads them, each view on its way while the next is read; no one waits."""
+        """Copy images and depths where the step reads them, each view on its way while the next is
+        read; no one waits.
+        """
         images, depths = self.states[after].images, self.depths
         if self._on_gpu:
-            self._copies.wait_stream(torch.cuda.current_stream(self.device))  # of who made depth there
+            # of who made depth there
+            self._copies.wait_stream(torch.cuda.current_stream(self.device))
         with torch.cuda.stream(self._copies) if self._on_gpu else nullcontext():
-            for k, (source, (width, height)) in enumerate(zip(sources, self.sizes.views, strict=True)):
-                self._copy(torch.from_numpy(np.ascontiguousarray(source.image)), images[k, :height, :width], k, "_images")
+            for k, (source, (width, height)) in enumerate(
+                zip(sources, self.sizes.views, strict=True)
+            ):
+                self._copy(
+                    torch.from_numpy(np.ascontiguousarray(source.image)),
+                    images[k, :height, :width],
+                    k,
+                    "_images",
+                )
                 depth: Any = source.depth
                 if not isinstance(depth, Tensor):
                     depth = torch.from_numpy(np.ascontiguousarray(depth, np.float32))
@@ -151,7 +179,10 @@ class Program:
 
     @contextmanager
     def working(self, launching: bool) -> Iterator[None]:
-        """Within, work is queued behind the uploads; `launching` where it is launched call by call, or recorded."""
+        """Within, work is queued behind the uploads.
+
+        `launching` where it is launched call by call, or recorded.
+        """
         if self._on_gpu:
             assert self.work.stream is not None
             self.work.stream.wait_stream(self._copies)
@@ -192,7 +223,10 @@ class Program:
         """Copy tensors to the host and wait for them; the arrays are the caller's."""
         if not self._on_gpu:
             return [tensor.numpy().copy() for tensor in tensors]
-        hosts = [torch.empty(tensor.shape, dtype=tensor.dtype, device="cpu", pin_memory=True) for tensor in tensors]
+        hosts = [
+            torch.empty(tensor.shape, dtype=tensor.dtype, device="cpu", pin_memory=True)
+            for tensor in tensors
+        ]
         for host, tensor in zip(hosts, tensors, strict=True):
             host.copy_(tensor, non_blocking=True)
         assert self.work.stream is not None
@@ -206,7 +240,8 @@ class DeviceGuided:
     Args:
         options: constants of the method; those that `covers` refuses are not for here.
         guidance: of the network that ships.
-        device: a GPU, see `compute_device`, or the CPU for tests: the compiled path is many times as fast there.
+        device: a GPU, see `compute_device`, or the CPU for tests: the compiled path is many times
+            as fast there.
         weights: file of a network's weights in place of those that ship.
         precision: of the network's activations; half on a GPU and single on the CPU unless given.
         recorded: play steps from recordings on a GPU; without, each part is timed.
@@ -216,11 +251,13 @@ class DeviceGuided:
         takes_device_depth: makes `OnlineSynthesizer` leave estimated depth on the device.
 
     Reading:
-        Pictures are those of the compiled path except for rounding. Weights, march, contested depth and registration give the
-        same bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last ones. Where a comparison
-        decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on contested
-        depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by a level
-        (0.25 of one at most), 0.005 % of the depths off by more than 0.1 mm. For half precision see `DeviceNetwork`.
+        Pictures are those of the compiled path except for rounding. Weights, march, contested depth
+        and registration give the same bits from the same inputs on a CPU; masks, splats,
+        convolutions and sums differ in the last ones. Where a comparison decides, a last bit may
+        move a pixel: of the depths near a zero crossing of the fused field, of the votes on
+        contested depth, of what is remembered. Three instants of two views of the demo room at 480
+        x 360, K = 4: no pixel off by a level (0.25 of one at most), 0.005 % of the depths off by
+        more than 0.1 mm. For half precision see `DeviceNetwork`.
     """
 
     takes_device_depth = True
@@ -241,13 +278,22 @@ class DeviceGuided:
             RenderError: options that the device does not compute.
             WeightsError: no usable weights.
         """
-        self.options, self._device, self._recorded = options or OnlineOptions(), compute_device(device), recorded
+        self.options, self._device, self._recorded = (
+            options or OnlineOptions(),
+            compute_device(device),
+            recorded,
+        )
         network = load_blend_network(weights or shipped_blend_weights(guidance), self._device)
         guidance = network.config.guidance
         if not self.covers(self.options, guidance) or network.refiner is None:
-            raise RenderError(f"online step on {device}: wanted the method as it ships, got {self.options}, guidance {guidance}")
+            raise RenderError(
+                f"online step on {device}: wanted the method as it ships, got {self.options}, "
+                f"guidance {guidance}"
+            )
         precision = precision or ("half" if self._device.type == "cuda" else "single")
-        self._network = DeviceNetwork(network, torch.float16 if precision == "half" else torch.float32)
+        self._network = DeviceNetwork(
+            network, torch.float16 if precision == "half" else torch.float32
+        )
         self._registered = guidance == "registered"
         self._programs: OrderedDict[tuple[Any, ...], Program] = OrderedDict()
         self._latest: tuple[Program, int, Remembered] | None = None
@@ -257,11 +303,16 @@ class DeviceGuided:
 
     @staticmethod
     def covers(options: OnlineOptions | None, guidance: Guidance) -> bool:
-        """Return whether the device computes the method with such options; readings that were tried and dropped it does not."""
+        """Return whether the device computes the method with such options.
+
+        Readings that were tried and dropped it does not.
+        """
         usual = OnlineOptions()
         options = options or usual
         compared = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
-        return guidance in ("registered", "channels") and all(getattr(options, name) == getattr(usual, name) for name in compared)
+        return guidance in ("registered", "channels") and all(
+            getattr(options, name) == getattr(usual, name) for name in compared
+        )
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember what the next one needs.
@@ -274,8 +325,15 @@ class DeviceGuided:
             RenderError: more source views than the network is made for.
         """
         begun_s = perf_counter()
-        results, (image, depth, *maps), seconds = self._advance(instant, lambda r: [r.image, r.depth, *r.diagnostics.values()])
-        return Rendering(image, depth, _stages(begun_s, seconds), dict(zip(results.diagnostics, maps, strict=True)))
+        results, (image, depth, *maps), seconds = self._advance(
+            instant, lambda r: [r.image, r.depth, *r.diagnostics.values()]
+        )
+        return Rendering(
+            image,
+            depth,
+            _stages(begun_s, seconds),
+            dict(zip(results.diagnostics, maps, strict=True)),
+        )
 
     def show(self, instant: Instant) -> Image8:
         """As `step`, the picture alone, in 8 bit, (H, W, 3)."""
@@ -285,11 +343,17 @@ class DeviceGuided:
     def _advance(
         self, instant: Instant, select: Callable[[Results], Sequence[Tensor]]
     ) -> tuple[Results, list[Map], tuple[float, float]]:
-        """Make a step; its results, those that are wanted on the host, when it was queued and how many seconds it took."""
+        """Make a step; its results, those that are wanted on the host, when it was queued and how
+        many seconds it took.
+        """
         most = self._network.config.views
         if len(instant.sources) > most:
-            raise RenderError(f"a blending network for at most {most} source views, got {len(instant.sources)}")
-        sources = sorted(instant.sources, key=lambda source: nearness(source.camera, instant.target))
+            raise RenderError(
+                f"a blending network for at most {most} source views, got {len(instant.sources)}"
+            )
+        sources = sorted(
+            instant.sources, key=lambda source: nearness(source.camera, instant.target)
+        )
         program, rows = self._program(instant, sources)
         before, after = self._states(program)
         options, tau = self.options, self.options.tau_m * instant.units_per_metre
@@ -297,18 +361,24 @@ class DeviceGuided:
         end = march_end(instant.target, tau, options.min_step, depths)
         plays = self._recorded and before is program.states[1 - after]
         with out_of_memory(self._device, "render at a smaller size"), torch.inference_mode():
-            program.constants.fill(instant, sources, options, end, self._latest[2] if self._latest else None, rows)
+            program.constants.fill(
+                instant, sources, options, end, self._latest[2] if self._latest else None, rows
+            )
             program.upload(sources, after)
             while True:
                 with program.working(launching=not (plays and program.is_recorded(after))):
                     clock, queued_s = _Clock(self._device), perf_counter()
                     clock.mark("step")
                     if plays:
-                        program.play(after, lambda: self._compute(program, before, after, lambda part: None))
+                        program.play(
+                            after, lambda: self._compute(program, before, after, lambda part: None)
+                        )
                     else:
                         self._compute(program, before, after, clock.mark)
                     clock.mark("")
-                    *arrays, crowding = program.downloaded([*select(program.results), program.results.crowding])
+                    *arrays, crowding = program.downloaded(
+                        [*select(program.results), program.results.crowding]
+                    )
                 if self._room_sufficed(float(crowding[0])):
                     break
         program.warm = True
@@ -318,8 +388,12 @@ class DeviceGuided:
         self.details = {name: value for name, value in parts.items() if name != "step"}
         return program.results, arrays, (queued_s, sum(parts.values()))
 
-    def _program(self, instant: Instant, sources: Sequence[SourceView]) -> tuple[Program, list[int]]:
-        """Return the program of an instant's sizes, and the rows of its pairs of sources in the table of ratios."""
+    def _program(
+        self, instant: Instant, sources: Sequence[SourceView]
+    ) -> tuple[Program, list[int]]:
+        """Return the program of an instant's sizes, and the rows of its pairs of sources in the
+        table of ratios.
+        """
         names = [source.camera.name for source in sources]
         pairs = [(min(pair), max(pair)) for pair in combinations(names, 2)]
         if self._latest is None or self._latest[2].index != instant.index - 1:
@@ -350,11 +424,20 @@ class DeviceGuided:
             return program.states[number], 1 - number
         state, target_state = latest.states[number], program.states[1]
         if latest.sizes.target != program.sizes.target:
-            state = State(state.images, state.depths, state.march, target_state.output, target_state.background, state.exposure)
+            state = State(
+                state.images,
+                state.depths,
+                state.march,
+                target_state.output,
+                target_state.background,
+                state.exposure,
+            )
         return state, 0
 
     def _room_sufficed(self, needed: float) -> bool:
-        """Return whether all pairs found room, and make more of it where they did not: the step is made again then."""
+        """Return whether all pairs found room, and make more of it where they did not: the step is
+        made again then.
+        """
         if needed <= self._per_gaussian:
             return True
         self._per_gaussian = ROOM * needed
@@ -364,17 +447,29 @@ class DeviceGuided:
 
     def _compute(self, program: Program, before: State, after: int, mark: Mark) -> None:
         """All of a step that computes; nothing is read back."""
-        options, c, t, out, results = self.options, program.constants, program.tables, program.states[after], program.results
+        options, c, t, out, results = (
+            self.options,
+            program.constants,
+            program.tables,
+            program.states[after],
+            program.results,
+        )
         mark("masks and filter")
         history = before.images, before.depths
-        masks, changes = filter_views(out.images, program.depths, history, c, t, options, out.depths)
+        masks, changes = filter_views(
+            out.images, program.depths, history, c, t, options, out.depths
+        )
         images, depths, exposure = out.images, out.depths, None
         splatted = depths if options.splatted_depth == "filtered" else program.depths
         if options.compensated:
             mark("exposure")
-            exposure = exposures.estimate_exposure(images, depths, before.exposure, c, t, out.exposure)
+            exposure = exposures.estimate_exposure(
+                images, depths, before.exposure, c, t, out.exposure
+            )
             images = exposures.compensate(images, exposure)
-            depths, splatted = (exposures.leave_out(depth, exposure) for depth in (depths, splatted))
+            depths, splatted = (
+                exposures.leave_out(depth, exposure) for depth in (depths, splatted)
+            )
         mark("fusion weights")
         weights = weigh_depths(depths, c, t)
         mark("splat")
@@ -386,9 +481,13 @@ class DeviceGuided:
         mark("contested depth")
         surface = out.march[0]
         if options.settled:
-            surface = settle_depth(surface, images, splats, c, t, exposure.odd if exposure else None)
+            surface = settle_depth(
+                surface, images, splats, c, t, exposure.odd if exposure else None
+            )
         mark("stillness")
-        cells = rate_stillness(surface, splats, (out.images, before.images), depths, changes, c, t, options)
+        cells = rate_stillness(
+            surface, splats, (out.images, before.images), depths, changes, c, t, options
+        )
         mark("registration")
         maps = DeviceMaps(*register_views(surface, images, depths, splats, c, t), splats, surface)
         mark("network and composition")
@@ -397,16 +496,25 @@ class DeviceGuided:
             picture = exposures.show_fall_off(picture, exposure)
         mark("memories")
         if options.temporal and options.remembered:
-            picture = remember_background(picture, surface, splats, cells.still, before.background, c, out.background)
+            picture = remember_background(
+                picture, surface, splats, cells.still, before.background, c, out.background
+            )
         if options.temporal and options.recurrent_limit > 0:
             recur(picture, cells.still, before.output, options.recurrent_limit, c, t, out.output)
             picture = out.output.picture
         show_picture(picture, results.image, results.levels)
-        self._leave(results, surface, splats, {"coverage": cells.coverage, "depth": cells.depth, "weights": shares})
+        self._leave(
+            results,
+            surface,
+            splats,
+            {"coverage": cells.coverage, "depth": cells.depth, "weights": shares},
+        )
         results.diagnostics["motion"].copy_(cells.still).neg_().add_(1)
 
     @staticmethod
-    def _leave(results: Results, surface: Tensor, splats: DeviceSplats, maps: Mapping[str, Tensor]) -> None:
+    def _leave(
+        results: Results, surface: Tensor, splats: DeviceSplats, maps: Mapping[str, Tensor]
+    ) -> None:
         """Put what a step found where it is read."""
         results.depth.copy_(surface)
         results.crowding.copy_(splats.crowding)
@@ -415,13 +523,21 @@ class DeviceGuided:
 
 
 def _stages(begun_s: float, step: tuple[float, float]) -> dict[str, float]:
-    """Return the seconds until the step was queued, of the step, and from its end to the picture."""
+    """Return the seconds until the step was queued, of the step, and from its end to the
+    picture.
+    """
     queued_s, seconds = step
-    return {"upload": queued_s - begun_s, "step": seconds, "download": max(perf_counter() - queued_s - seconds, 0.0)}
+    return {
+        "upload": queued_s - begun_s,
+        "step": seconds,
+        "download": max(perf_counter() - queued_s - seconds, 0.0),
+    }
 
 
 class _Clock:
-    """Times of the parts of a step: by events of the GPU, read when all is done, or by the host's clock."""
+    """Times of the parts of a step: by events of the GPU, read when all is done, or by the host's
+    clock.
+    """
 
     def __init__(self, device: torch.device) -> None:
         self._device, self._marks = device, list[tuple[str, Any]]()

@@ -1,4 +1,6 @@
-"""Certainty that nothing moves, and the memories of the target that it guards: the recurrent output and the background."""
+"""Certainty that nothing moves, and the memories of the target that it guards: the recurrent output
+and the background.
+"""
 
 from dataclasses import dataclass
 
@@ -11,7 +13,14 @@ from ggvs_eval.contrib.warp.constants import SAME_SURFACE, SHOWN, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.registration import is_inside, surface_in_view, visibility_of
 from ggvs_eval.contrib.warp.splat import DeviceSplats
-from ggvs_eval.contrib.warp.tables import Corners, Tables, corners_around, enlarged, falling, masked_median
+from ggvs_eval.contrib.warp.tables import (
+    Corners,
+    Tables,
+    corners_around,
+    enlarged,
+    falling,
+    masked_median,
+)
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import geometry_guided, temporal_filters
 from ggvs_eval.pipelines.online import temporal_filters as rules
@@ -22,12 +31,19 @@ wp.set_module_options(MODULE_OPTIONS)
 _COVERED = wp.constant(wp.float32(COVERED_ALPHA))
 _NEVER = wp.constant(wp.float32(rules.NEVER))
 _LEAST_LOOKS = wp.constant(wp.float32(rules.LEAST_LOOKS))
-_LEAST_NOISE, _MOST_NOISE = wp.constant(wp.float32(rules.LEAST_NOISE)), wp.constant(wp.float32(rules.MOST_NOISE))
+_LEAST_NOISE, _MOST_NOISE = (
+    wp.constant(wp.float32(rules.LEAST_NOISE)),
+    wp.constant(wp.float32(rules.MOST_NOISE)),
+)
 _SHARED0, _SHARED1 = (wp.constant(wp.float32(value)) for value in rules.SHARED)
 _LARGEST0, _LARGEST1 = (wp.constant(wp.float32(value)) for value in rules.LARGEST)
 _DRAGGED0, _DRAGGED1 = (wp.constant(wp.float32(value)) for value in temporal_filters.DRAGGED)
-_BEHIND, _FORGETTING = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("BEHIND", "FORGETTING"))
-_RENEWAL, _SURE_STILL = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("RENEWAL", "SURE_STILL"))
+_BEHIND, _FORGETTING = (
+    wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("BEHIND", "FORGETTING")
+)
+_RENEWAL, _SURE_STILL = (
+    wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("RENEWAL", "SURE_STILL")
+)
 _HOLE = wp.constant(wp.float32(COVERED_ALPHA * (1 - geometry_guided.FEATHER)))
 
 
@@ -58,7 +74,9 @@ def take_cells(
     coverage: wp.array2d[wp.float32],
     masks: wp.array2d[wp.float32],
 ):
-    """Of each cell's middle pixel: depth, coverage, and the largest mask of a view that covers it and is not new."""
+    """Of each cell's middle pixel: depth, coverage, and the largest mask of a view that covers it
+    and is not new.
+    """
     y, x = wp.tid()
     row = rows[0, y]
     column = columns[0, x]
@@ -76,7 +94,10 @@ def take_cells(
 
 @wp.kernel
 def take_depths(
-    depths: wp.array3d[wp.float32], rows: wp.array2d[wp.int32], columns: wp.array2d[wp.int32], out: wp.array3d[wp.float32]
+    depths: wp.array3d[wp.float32],
+    rows: wp.array2d[wp.int32],
+    columns: wp.array2d[wp.int32],
+    out: wp.array3d[wp.float32],
 ):
     """Depth of each source in the middle of the cells of its mask."""
     k, y, x = wp.tid()
@@ -92,7 +113,9 @@ def corners_of(at: wp.vec3f, width: wp.int32, height: wp.int32) -> Corners:
 
 
 @wp.func
-def between(a: wp.float32, b: wp.float32, c: wp.float32, d: wp.float32, fx: wp.float32, fy: wp.float32) -> wp.float32:
+def between(
+    a: wp.float32, b: wp.float32, c: wp.float32, d: wp.float32, fx: wp.float32, fy: wp.float32
+) -> wp.float32:
     """Return the bilinear value of two upper and two lower neighbours."""
     return (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
 
@@ -123,14 +146,19 @@ def look_at_pixels(
     numbers: wp.array[wp.float32],
     out: wp.array4d[wp.float32],
 ):
-    """Each view's change of pixels at a surface times its visibility, and that, (K, 4, h, w); 0 of a view that is new."""
+    """Each view's change of pixels at a surface times its visibility, and that, (K, 4, h, w).
+
+    0 of a view that is new.
+    """
     k, y, x = wp.tid()
     at = surface_in_view(surface, maps[k], y, x, 0.0)
     visibility = wp.float32(0.0)
     p = previous[k]
     value = wp.vec3f()
     if p >= 0 and is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0)
+        visibility = visibility_of(
+            depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0
+        )
         n = corners_of(at, sizes[k, 0], sizes[k, 1])
         for c in range(3):
             a = pixel_change(after, before, k, p, n.y0, n.x0, c)
@@ -160,7 +188,9 @@ def look_at_cells(
     visibility = wp.float32(0.0)
     value = wp.vec3f()
     if previous[k] >= 0 and is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0)
+        visibility = visibility_of(
+            depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0
+        )
         n = corners_of(at, sizes[k, 0], sizes[k, 1])
         for c in range(3):
             above = (1.0 - n.fx) * colours[k, n.y0, n.x0, c] + n.fx * colours[k, n.y0, n.x1, c]
@@ -173,9 +203,16 @@ def look_at_cells(
 
 @wp.func
 def light_at(
-    sums: wp.array3d[wp.float32], c: wp.int32, y: wp.int32, x: wp.int32, height: wp.int32, width: wp.int32
+    sums: wp.array3d[wp.float32],
+    c: wp.int32,
+    y: wp.int32,
+    x: wp.int32,
+    height: wp.int32,
+    width: wp.int32,
 ) -> wp.float32:
-    """Return the mean change of light at a cell, of sums over wide areas: three colours and their weight."""
+    """Return the mean change of light at a cell, of sums over wide areas: three colours and their
+    weight.
+    """
     h = sums.shape[1]
     w = sums.shape[2]
     v = wp.max((wp.float32(y) + 0.5) * (wp.float32(h) / wp.float32(height)) - 0.5, 0.0)
@@ -192,8 +229,15 @@ def light_at(
 
 
 @wp.kernel
-def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], views: wp.int32, out: wp.array4d[wp.float32]):
-    """Of each scale: what the views' changes share, in how many pairs, their energy, and how many see the surface."""
+def sum_looks(
+    looks: wp.array4d[wp.float32],
+    light: wp.array4d[wp.float32],
+    views: wp.int32,
+    out: wp.array4d[wp.float32],
+):
+    """Of each scale: what the views' changes share, in how many pairs, their energy, and how many
+    see the surface.
+    """
     scale, y, x = wp.tid()
     height = looks.shape[2]
     width = looks.shape[3]
@@ -206,7 +250,9 @@ def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], view
         visibility = looks[n, 3, y, x]
         weighted = wp.vec3f()
         for c in range(3):
-            weighted[c] = looks[n, c, y, x] - visibility * light_at(light[n], c, y, x, height, width)
+            weighted[c] = looks[n, c, y, x] - visibility * light_at(
+                light[n], c, y, x, height, width
+            )
         total += weighted
         energy += wp.dot(weighted, weighted) / 3.0
         visibility_sum += visibility
@@ -219,7 +265,10 @@ def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], view
 
 @wp.kernel
 def judge(
-    pooled: wp.array4d[wp.float32], still: wp.array2d[wp.float32], noise: wp.array2d[wp.float32], is_known: wp.array2d[wp.bool]
+    pooled: wp.array4d[wp.float32],
+    still: wp.array2d[wp.float32],
+    noise: wp.array2d[wp.float32],
+    is_known: wp.array2d[wp.bool],
 ):
     """Certainty by both scales, the noise energy of the coarser one, and its validity."""
     y, x = wp.tid()
@@ -248,7 +297,10 @@ def conclude(
     lambda_t: wp.float32,
     out: wp.array2d[wp.float32],
 ):
-    """The same checked against the largest change that a source sees nearby; a noise below nothing, by rounding, is none."""
+    """The same checked against the largest change that a source sees nearby.
+
+    A noise below nothing, by rounding, is none.
+    """
     y, x = wp.tid()
     noise = wp.clamp(wp.sqrt(wp.max(median[0], 0.0)), _LEAST_NOISE, _MOST_NOISE)
     largest = wp.max(masks[y, x] - beta, 0.0) * lambda_t
@@ -276,27 +328,59 @@ def rate_stillness(
     device, views, (w, h) = surface.device, len(depths), t.sizes.cells
     rows, columns = (t.middles((t.sizes.target[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
     depth, coverage, masks, still, apart = (torch.empty((h, w), device=device) for _ in range(5))
-    launch(take_cells, (h, w), surface, splats.features, splats.alphas, c.previous, rows, columns, depth, coverage, masks)
+    launch(
+        take_cells,
+        (h, w),
+        surface,
+        splats.features,
+        splats.alphas,
+        c.previous,
+        rows,
+        columns,
+        depth,
+        coverage,
+        masks,
+    )
     lines = tuple(zip(*t.sizes.views, strict=True)), tuple(zip(*t.sizes.mask_cells, strict=True))
     cell_depths = torch.empty(colours.shape[:3], device=device)
-    launch(take_depths, cell_depths.shape, depths, *(t.middles(lines[0][axis], lines[1][axis]) for axis in (1, 0)), cell_depths)
+    launch(
+        take_depths,
+        cell_depths.shape,
+        depths,
+        *(t.middles(lines[0][axis], lines[1][axis]) for axis in (1, 0)),
+        cell_depths,
+    )
     looks = torch.empty((2 * views, 4, h, w), device=device)
     pixel_arguments = (depth, *images, c.previous, t.view_sizes, depths, c.to_pixels, c.numbers)
     launch(look_at_pixels, (views, h, w), *pixel_arguments, looks[:views])
     cells = (depth, colours, c.previous, t.mask_cells, cell_depths, c.to_cells, c.numbers)
     launch(look_at_cells, (views, h, w), *cells, looks[views:])
-    sums, is_known = torch.empty((2, 4, h, w), device=device), torch.empty((h, w), dtype=torch.bool, device=device)
+    sums, is_known = (
+        torch.empty((2, 4, h, w), device=device),
+        torch.empty((h, w), dtype=torch.bool, device=device),
+    )
     launch(sum_looks, (2, h, w), looks, t.wide(looks), views, sums)
     launch(judge, (h, w), t.pooled(sums), still, apart, is_known)
     widest = functional.max_pool2d(masks[None, None], 2 * rules.REACH + 1, 1, rules.REACH)[0, 0]
     sure = torch.empty_like(still)
-    launch(conclude, (h, w), still, widest, masked_median(apart, is_known), options.beta_mask, options.lambda_t, sure)
+    launch(
+        conclude,
+        (h, w),
+        still,
+        widest,
+        masked_median(apart, is_known),
+        options.beta_mask,
+        options.lambda_t,
+        sure,
+    )
     return Cells(depth, coverage, sure)
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """An instant: what was shown (3, H, W), the new image at each cell, (3, h, w), and for how long that stood still, (h, w)."""
+    """An instant: what was shown (3, H, W), the new image at each cell, (3, h, w), and for how long
+    that stood still, (h, w).
+    """
 
     picture: Tensor
     new: Tensor
@@ -306,7 +390,11 @@ class Output:
 @wp.func
 def is_finite(picture: wp.array3d[wp.float32], y: wp.int32, x: wp.int32) -> wp.bool:
     """Return whether all channels of a pixel are numbers."""
-    return wp.isfinite(picture[0, y, x]) and wp.isfinite(picture[1, y, x]) and wp.isfinite(picture[2, y, x])
+    return (
+        wp.isfinite(picture[0, y, x])
+        and wp.isfinite(picture[1, y, x])
+        and wp.isfinite(picture[2, y, x])
+    )
 
 
 @wp.kernel
@@ -321,11 +409,18 @@ def compare_past(
     out: wp.array4d[wp.float32],
     has_past: wp.array2d[wp.float32],
 ):
-    """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w), and if there is a past."""
+    """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w),
+    and if there is a past.
+    """
     y, x = wp.tid()
     row = rows[0, y]
     column = columns[0, x]
-    counts = flags[SHOWN] != 0 and is_finite(past, row, column) and is_finite(last, y, x) and is_finite(image, row, column)
+    counts = (
+        flags[SHOWN] != 0
+        and is_finite(past, row, column)
+        and is_finite(last, y, x)
+        and is_finite(image, row, column)
+    )
     for c in range(3):
         value = image[c, row, column]
         fresh[c, y, x] = value
@@ -340,12 +435,16 @@ def compare_past(
 
 
 @wp.kernel
-def dragged_energy(changes: wp.array4d[wp.float32], light: wp.array4d[wp.float32], out: wp.array3d[wp.float32]):
+def dragged_energy(
+    changes: wp.array4d[wp.float32], light: wp.array4d[wp.float32], out: wp.array3d[wp.float32]
+):
     """Energy of each change beyond that of light."""
     n, y, x = wp.tid()
     total = wp.float32(0.0)
     for c in range(3):
-        value = changes[n, c, y, x] - light_at(light[n], c, y, x, changes.shape[2], changes.shape[3])
+        value = changes[n, c, y, x] - light_at(
+            light[n], c, y, x, changes.shape[2], changes.shape[3]
+        )
         total += value * value
     out[n, y, x] = total / 3.0
 
@@ -368,7 +467,9 @@ def weigh_past(
     weight = wp.float32(0.0)
     if has_past[y, x] > 0.0:
         count = wp.min(before[y, x], most)
-        excess = 2.0 * pooled[0, y, x] / wp.max(pooled[1, y, x], 2.0 * _LEAST_NOISE * _LEAST_NOISE) - (1.0 + 1.0 / count)
+        excess = 2.0 * pooled[0, y, x] / wp.max(
+            pooled[1, y, x], 2.0 * _LEAST_NOISE * _LEAST_NOISE
+        ) - (1.0 + 1.0 / count)
         sure = still[y, x] * falling(excess, _DRAGGED0, _DRAGGED1)
         older = 1.0 + sure * before[y, x]
         weight = sure * wp.min(1.0 - 1.0 / older, limit)
@@ -379,7 +480,9 @@ def weigh_past(
 
 
 @wp.kernel
-def weigh_light(weighted: wp.array3d[wp.float32], light: wp.array3d[wp.float32], out: wp.array3d[wp.float32]):
+def weigh_light(
+    weighted: wp.array3d[wp.float32], light: wp.array3d[wp.float32], out: wp.array3d[wp.float32]
+):
     """Weight of the past, and what is light of its change."""
     y, x = wp.tid()
     weight = weighted[3, y, x]
@@ -390,9 +493,15 @@ def weigh_light(weighted: wp.array3d[wp.float32], light: wp.array3d[wp.float32],
 
 @wp.kernel
 def mix_past(
-    image: wp.array3d[wp.float32], past: wp.array3d[wp.float32], by: wp.array3d[wp.float32], out: wp.array3d[wp.float32]
+    image: wp.array3d[wp.float32],
+    past: wp.array3d[wp.float32],
+    by: wp.array3d[wp.float32],
+    out: wp.array3d[wp.float32],
 ):
-    """The past mixed in where it has weight, except for what changed over wide areas; one that is not finite has none."""
+    """The past mixed in where it has weight, except for what changed over wide areas.
+
+    One that is not finite has none.
+    """
     y, x = wp.tid()
     height = image.shape[1]
     width = image.shape[2]
@@ -403,20 +512,58 @@ def mix_past(
     for c in range(3):
         value = image[c, y, x]
         if mixes:
-            value = past[c, y, x] * fine + image[c, y, x] * (1.0 - fine) - enlarged(by[c], h, w, y, x, height, width)
+            value = (
+                past[c, y, x] * fine
+                + image[c, y, x] * (1.0 - fine)
+                - enlarged(by[c], h, w, y, x, height, width)
+            )
         out[c, y, x] = wp.clamp(value, 0.0, 1.0)
 
 
-def recur(image: Tensor, still: Tensor, before: Output, limit: float, c: StepConstants, t: Tables, out: Output) -> None:
+def recur(
+    image: Tensor,
+    still: Tensor,
+    before: Output,
+    limit: float,
+    c: StepConstants,
+    t: Tables,
+    out: Output,
+) -> None:
     """The output of an instant, (3, H, W), see `RecurrentOutput.step`."""
     device, (w, h) = image.device, t.sizes.cells
     rows, columns = (t.middles((t.sizes.target[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
-    changes, energy, has_past = (torch.empty(size, device=device) for size in ((2, 4, h, w), (2, h, w), (h, w)))
-    launch(compare_past, (h, w), image, before.picture, before.new, c.flags, rows, columns, out.new, changes, has_past)
+    changes, energy, has_past = (
+        torch.empty(size, device=device) for size in ((2, 4, h, w), (2, h, w), (h, w))
+    )
+    launch(
+        compare_past,
+        (h, w),
+        image,
+        before.picture,
+        before.new,
+        c.flags,
+        rows,
+        columns,
+        out.new,
+        changes,
+        has_past,
+    )
     launch(dragged_energy, (2, h, w), changes, t.wide(changes), energy)
     weighted, by = torch.empty((4, h, w), device=device), torch.empty((4, h, w), device=device)
-    limits = (1 + limit) / (1 - limit), limit  # of instants that a mean of such weights is worth, and of the weight
-    launch(weigh_past, (h, w), t.pooled(energy), changes, still, before.age, has_past, *limits, out.age, weighted)
+    # of instants that a mean of such weights is worth, and of the weight
+    limits = (1 + limit) / (1 - limit), limit
+    launch(
+        weigh_past,
+        (h, w),
+        t.pooled(energy),
+        changes,
+        still,
+        before.age,
+        has_past,
+        *limits,
+        out.age,
+        weighted,
+    )
     launch(weigh_light, (h, w), weighted, t.wide(weighted), by)
     launch(mix_past, image.shape[1:], image, before.picture, by, out.picture)
 
@@ -434,7 +581,9 @@ def remember(
     out_depth: wp.array2d[wp.float32],
     filled: wp.array3d[wp.float32],
 ):
-    """The farthest that the target saw, its depth (0 of a filling, -1 of what moved), and the picture with its holes filled."""
+    """The farthest that the target saw, its depth (0 of a filling, -1 of what moved), and the
+    picture with its holes filled.
+    """
     y, x = wp.tid()
     alpha = wp.float32(0.0)
     for k in range(alphas.shape[0]):
@@ -447,8 +596,14 @@ def remember(
     stored = faded
     if fresh:
         stored = current
-        cell_y = wp.min(wp.int32(wp.float32(y) * (wp.float32(still.shape[0]) / wp.float32(depth.shape[0]))), still.shape[0] - 1)
-        cell_x = wp.min(wp.int32(wp.float32(x) * (wp.float32(still.shape[1]) / wp.float32(depth.shape[1]))), still.shape[1] - 1)
+        cell_y = wp.min(
+            wp.int32(wp.float32(y) * (wp.float32(still.shape[0]) / wp.float32(depth.shape[0]))),
+            still.shape[0] - 1,
+        )
+        cell_x = wp.min(
+            wp.int32(wp.float32(x) * (wp.float32(still.shape[1]) / wp.float32(depth.shape[1]))),
+            still.shape[1] - 1,
+        )
         if still[cell_y, cell_x] < _SURE_STILL:
             stored = wp.float32(-1.0)
     begins = hole and stored < 0.0
@@ -480,7 +635,11 @@ def remember_background(
     c: StepConstants,
     out: tuple[Tensor, Tensor],
 ) -> Tensor:
-    """Return the picture (3, H, W) with its holes filled from memory, see `RememberedBackground.step`; `out` is the memory."""
+    """Return the picture (3, H, W) with its holes filled from memory, see
+    `RememberedBackground.step`; `out` is the memory.
+    """
     filled = torch.empty_like(image)
-    launch(remember, depth.shape, image, depth, splats.alphas, still, c.flags, *before, *out, filled)
+    launch(
+        remember, depth.shape, image, depth, splats.alphas, still, c.flags, *before, *out, filled
+    )
     return filled

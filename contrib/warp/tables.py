@@ -1,4 +1,7 @@
-"""Tables that depend only on sizes: the cells of images and their enlargement; computed once per recording."""
+"""Tables that depend only on sizes: the cells of images and their enlargement.
+
+Computed once per recording.
+"""
 
 from dataclasses import dataclass
 from functools import cache
@@ -42,16 +45,23 @@ class Sizes:
 
     @property
     def pairs(self) -> int:
-        """Pairs of sources; an empty one where there is but one source, so that no array is empty."""
+        """Pairs of sources; an empty one where there is but one source, so that no array is
+        empty.
+        """
         return max(len(self.views) * (len(self.views) - 1) // 2, 1)
 
     def lattice(self, by: int, rows: int) -> list[tuple[int, int, int]]:
-        """Return the step, columns and rows of the lattice of each view's reduced image; at least N rows, if it has them."""
+        """Return the step, columns and rows of the lattice of each view's reduced image.
+
+        At least N rows, if it has them.
+        """
         lattices = []
         for view in self.views:
             width, height = (max(side // by, 1) for side in view)
             step = max(height // rows, 1)
-            lattices.append((step, len(range(step // 2, width, step)), len(range(step // 2, height, step))))
+            lattices.append(
+                (step, len(range(step // 2, width, step)), len(range(step // 2, height, step)))
+            )
         return lattices
 
     @property
@@ -96,12 +106,18 @@ class Tables:
     def tensor(self, values: Any) -> Tensor:
         """Return the numbers on the device: whole ones int32, others float32."""
         array = np.asarray(values)
-        return torch.from_numpy(array.astype(np.int32 if array.dtype.kind in "iu" else np.float32)).to(self.device)
+        return torch.from_numpy(
+            array.astype(np.int32 if array.dtype.kind in "iu" else np.float32)
+        ).to(self.device)
 
     def pairs(self) -> tuple[Tensor, Tensor]:
-        """Return both sources of each pair, (P, 2), and the ordered pairs, there and back, (2 P, 2)."""
+        """Return both sources of each pair, (P, 2), and the ordered pairs, there and back, (2 P,
+        2).
+        """
         pairs = list(combinations(range(len(self.sizes.views)), 2)) or [(0, 0)]
-        return self.tensor(pairs), self.tensor([order for j, k in pairs for order in ((j, k), (k, j))])
+        return self.tensor(pairs), self.tensor(
+            [order for j, k in pairs for order in ((j, k), (k, j))]
+        )
 
     def lattices(self, by: int, rows: int) -> Tensor:
         """`Sizes.lattice` of each view, (K, 3)."""
@@ -111,8 +127,12 @@ class Tables:
         """Return the size of the march of the instant before, (1, 2)."""
         return self.tensor([[width, height]])
 
-    def area_cells(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-        """Cut lines of pixels into equal cells: first and last pixel of each, (N, cells, 2), and their shares, (N, cells, n)."""
+    def area_cells(
+        self, lengths: tuple[int, ...], counts: tuple[int, ...]
+    ) -> tuple[Tensor, Tensor]:
+        """Cut lines of pixels into equal cells: first and last pixel of each, (N, cells, 2), and
+        their shares, (N, cells, n).
+        """
         cut = [_area_cells(*pair) for pair in zip(lengths, counts, strict=True)]
         ends = np.zeros((len(cut), max(counts), 2), np.int64)
         shares = np.zeros((len(cut), max(counts), max(part.shape[1] for _, part in cut)))
@@ -121,10 +141,14 @@ class Tables:
         return self.tensor(ends), self.tensor(shares)
 
     def between_cells(self, fine: int, coarse: int) -> tuple[Tensor, Tensor]:
-        """Places of fine pixels between coarse ones: the two neighbours, (fine, 2), and the share of the second, (fine,)."""
+        """Places of fine pixels between coarse ones: the two neighbours, (fine, 2), and the share
+        of the second, (fine,).
+        """
         at = np.clip((np.arange(fine) + 0.5) * coarse / fine - 0.5, 0.0, coarse - 1.0)
         first = at.astype(int)
-        return self.tensor(np.stack([first, np.minimum(first + 1, coarse - 1)], axis=1)), self.tensor(at - first)
+        return self.tensor(
+            np.stack([first, np.minimum(first + 1, coarse - 1)], axis=1)
+        ), self.tensor(at - first)
 
     def middles(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> Tensor:
         """Return the pixel in the middle of each cell of lines, (N, cells)."""
@@ -134,7 +158,9 @@ class Tables:
         return self.tensor(places)
 
     def widening(self, size: int) -> Tensor:
-        """Return the matrix that averages a line of cells over areas as wide as light, as cv2's resize and blur do."""
+        """Return the matrix that averages a line of cells over areas as wide as light, as cv2's
+        resize and blur do.
+        """
         small = -(-size // (rules.LIGHT_PX // rules.REDUCTION))
         lines: Array = np.eye(size, dtype=np.float64)
         averaged = cv2.resize(lines, (size, small), interpolation=cv2.INTER_AREA)
@@ -169,7 +195,8 @@ def _area_cells(length: int, cells: int) -> tuple[Any, Any]:
 
 
 def masked_median(values: Tensor, mask: Tensor) -> Tensor:
-    """Return the median of the values that count, the mean of the two middle ones of an even number; 0 if none does.
+    """Return the median of the values that count, the mean of the two middle ones of an even
+    number; 0 if none does.
 
     Torch's own reads it back, or takes at most 16 million values.
 
@@ -182,7 +209,10 @@ def masked_median(values: Tensor, mask: Tensor) -> Tensor:
     """
     ordered = torch.where(mask, values, torch.inf).flatten().sort().values
     count = mask.sum().reshape(1)
-    low, high = (ordered.gather(0, place) for place in ((count - 1).clamp(min=0) // 2, (count // 2).clamp(max=len(ordered) - 1)))
+    low, high = (
+        ordered.gather(0, place)
+        for place in ((count - 1).clamp(min=0) // 2, (count // 2).clamp(max=len(ordered) - 1))
+    )
     return torch.where(count > 0, (low + high) / 2, 0.0)
 
 
@@ -194,7 +224,9 @@ def falling(value: wp.float32, first: wp.float32, last: wp.float32) -> wp.float3
 
 @wp.struct
 class Corners:
-    """The four pixels around a place in an image, and its share of the right and of the lower ones."""
+    """The four pixels around a place in an image, and its share of the right and of the
+    lower ones.
+    """
 
     x0: wp.int32
     x1: wp.int32
@@ -205,8 +237,13 @@ class Corners:
 
 
 @wp.func
-def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width: wp.int32) -> Corners:
-    """Return the corners of a place in pixels, 0 in the middle of the first; the last pixel repeats beyond the image."""
+def corners_around(
+    row: wp.float32, column: wp.float32, height: wp.int32, width: wp.int32
+) -> Corners:
+    """Return the corners of a place in pixels, 0 in the middle of the first.
+
+    The last pixel repeats beyond the image.
+    """
     corners = Corners()
     corners.y0 = wp.min(wp.int32(row), height - 1)
     corners.x0 = wp.min(wp.int32(column), width - 1)
@@ -219,13 +256,25 @@ def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width:
 
 @wp.func
 def enlarged_place(pixel: wp.int32, step: wp.float32) -> wp.float32:
-    """Map a pixel of an enlarged image to the small one, with pixels `step` apart, as torch enlarges."""
+    """Map a pixel of an enlarged image to the small one, with pixels `step` apart, as torch
+    enlarges.
+    """
     return wp.max((wp.float32(pixel) + 0.5) * step - 0.5, 0.0)
 
 
 @wp.func
-def enlarged(maps: wp.array2d[wp.float32], h: wp.int32, w: wp.int32, y: wp.int32, x: wp.int32, height: wp.int32, width: wp.int32):
-    """Bilinear value of a small map (h, w) at a pixel of a larger one (height, width), as torch enlarges."""
+def enlarged(
+    maps: wp.array2d[wp.float32],
+    h: wp.int32,
+    w: wp.int32,
+    y: wp.int32,
+    x: wp.int32,
+    height: wp.int32,
+    width: wp.int32,
+):
+    """Bilinear value of a small map (h, w) at a pixel of a larger one (height, width), as torch
+    enlarges.
+    """
     v = enlarged_place(y, wp.float32(h) / wp.float32(height))
     u = enlarged_place(x, wp.float32(w) / wp.float32(width))
     n = corners_around(v, u, h, w)

@@ -18,12 +18,14 @@ def what_if(
 ) -> None:
     """Score rendered frames again with each fault that doctor finds undone.
 
-    Shift, scale, frame offset, reversed time, gain, tone curve, value range, channel order and flips are estimated on half of the
-    frames and undone in the other half; flicker is undone by the gain of each frame. Nothing of it enters results, tables or
-    rankings; the page of RUN shows the frames so.
+    Shift, scale, frame offset, reversed time, gain, tone curve, value range, channel order and
+    flips are estimated on half of the frames and undone in the other half; flicker is undone by the
+    gain of each frame. Nothing of it enters results, tables or rankings; the page of RUN shows the
+    frames so.
 
     Args:
-        renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
+        renders: frames in any form that `score` takes, with --capture; or a run folder, whose
+            methods are all examined.
         metrics: metrics of single frames.
         out: JSON file to write the rows to.
         source: capture and protocol of the renders.
@@ -38,7 +40,9 @@ def what_if(
     with source.open(renders) as (folder, labels):
         measurement = folder.protocol().measurement
         for label in labels:
-            outcome = undo_and_score(views_of_run(folder, label), cameras_of_run(folder), measurement, metrics)
+            outcome = undo_and_score(
+                views_of_run(folder, label), cameras_of_run(folder), measurement, metrics
+            )
             records[label] = outcome.record()
             print(what_if_text(label, outcome))
         keep_for_page(folder, {label: bool(record["rows"]) for label, record in records.items()})

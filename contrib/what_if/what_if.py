@@ -1,4 +1,6 @@
-"""Scores of rendered frames as they came and with each fault undone, with intervals of what they were without."""
+"""Scores of rendered frames as they came and with each fault undone, with intervals of what they
+were without.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -90,11 +92,16 @@ class WhatIf:
 
     @property
     def best(self) -> Row:
-        """The row that is best in its first metric, of equal ones that with the most faults undone."""
+        """The row that is best in its first metric, of equal ones that with the most faults
+        undone.
+        """
 
         def merit(row: Row) -> tuple[list[float], int]:
             first = list(row.scores.items())[:1]
-            return [score.value if METRICS[metric].higher_is_better else -score.value for metric, score in first], len(row.undos)
+            return [
+                score.value if METRICS[metric].higher_is_better else -score.value
+                for metric, score in first
+            ], len(row.undos)
 
         return max(self.rows, key=merit)
 
@@ -108,7 +115,10 @@ class WhatIf:
 
 
 def what_if(
-    views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader], measurement: Measurement, metrics: Sequence[str]
+    views: Mapping[str, ViewFrames],
+    cameras: Mapping[str, FrameReader],
+    measurement: Measurement,
+    metrics: Sequence[str],
 ) -> WhatIf:
     """Undo each fault of rendered frames and score them again.
 
@@ -119,42 +129,87 @@ def what_if(
         metrics: names of metrics that compare single frames.
 
     Reading:
-        The middle half of the frames says what is wrong and by how much; the first and the last quarter are scored. Neighbours
-        share most of their picture, but a shift that fits noise of the middle does not fit theirs. All of several faults have a
-        row if that is at least as good as each of them alone in the first metric.
+        The middle half of the frames says what is wrong and by how much; the first and the last
+        quarter are scored. Neighbours share most of their picture, but a shift that fits noise of
+        the middle does not fit theirs. All of several faults have a row if that is at least as good
+        as each of them alone in the first metric.
 
-        Undone frames differ from those without the fault in two ways. The parameters of the fault are known within an interval:
-        the frames are scored with each of them at its ends. And what was rounded, clipped or interpolated is lost: they are
-        scored with as many errors less or more. An interval adds up by how much these scores differ from the value, at the first
-        and the last instant.
+        Undone frames differ from those without the fault in two ways. The parameters of the fault
+        are known within an interval: the frames are scored with each of them at its ends. And what
+        was rounded, clipped or interpolated is lost: they are scored with as many errors less or
+        more. An interval adds up by how much these scores differ from the value, at the first and
+        the last instant.
     """
     frames = next(iter(views.values())).frames
     if len(frames) < FEWEST_FRAMES:
         raise RenderError(
-            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got {len(frames)}; render more"
+            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got "
+            f"{len(frames)}; render more"
         )
     metrics, quarter = _frame_metrics(metrics), len(frames) // 4
     middle = range(frames.start + quarter, frames.stop - quarter)
-    halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
+    halves = {
+        name: ViewFrames(
+            rendered=view.rendered, truth=view.truth, frames=middle, truth_frames=view.truth_range
+        )
+        for name, view in views.items()
+    }
     undos, stays = list_undos(examine(halves, cameras), halves)
     if not undos:
-        return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {}, loss="" if stays else explain_loss(views))
+        return WhatIf(
+            rows=(),
+            estimated_on=tuple(middle),
+            scored_on=(),
+            views=len(views),
+            border_px=0,
+            stays=tuple(stays),
+            not_computed={},
+            loss="" if stays else explain_loss(views),
+        )
     treatments = [(), *((undo,) for undo in undos), *([tuple(undos)] if len(undos) > 1 else [])]
     treated = [_treat(views, treatment) for treatment in treatments]
-    shared = [i for i in frames if i not in middle and all(i in view.frames for film in treated for view in film.values())]
+    shared = [
+        i
+        for i in frames
+        if i not in middle and all(i in view.frames for film in treated for view in film.values())
+    ]
     if not shared:
-        raise RenderError(f"{len(frames)} frames leave none that every row can score; render more than twice the offset")
+        raise RenderError(
+            f"{len(frames)} frames leave none that every row can score; render more than twice the "
+            f"offset"
+        )
     border_px = max(way.border_px for undo in undos for way in undo.ways.values())
     values, not_computed = _score(treated, shared, border_px, measurement, metrics)
     rows = []
     for treatment, film, of_row in zip(treatments, treated, values, strict=True):
         films = [film, *_alternatives(views, treatment, film)]
         moved, _ = _score(films, sorted({shared[0], shared[-1]}), border_px, measurement, metrics)
-        scores = {metric: _within(value, [row[metric] for row in moved]) for metric, value in of_row.items()}
-        words = f"{treatment[0].words()} ({treatment[0].verdict})" if len(treatment) == 1 else ALL if treatment else HONEST
+        scores = {
+            metric: _within(value, [row[metric] for row in moved])
+            for metric, value in of_row.items()
+        }
+        words = (
+            f"{treatment[0].words()} ({treatment[0].verdict})"
+            if len(treatment) == 1
+            else ALL
+            if treatment
+            else HONEST
+        )
         rows.append(Row(words, treatment, scores))
-    outcome = WhatIf(tuple(rows), tuple(middle), tuple(shared), len(views), border_px, tuple(stays), not_computed)
-    return replace(outcome, rows=outcome.rows[:-1]) if len(undos) > 1 and outcome.best is not rows[-1] else outcome
+    outcome = WhatIf(
+        rows=tuple(rows),
+        estimated_on=tuple(middle),
+        scored_on=tuple(shared),
+        views=len(views),
+        border_px=border_px,
+        stays=tuple(stays),
+        not_computed=not_computed,
+    )
+    return (
+        replace(outcome, rows=outcome.rows[:-1])
+        if len(undos) > 1 and outcome.best is not rows[-1]
+        else outcome
+    )
 
 
 def _treat(views: Mapping[str, ViewFrames], undos: Sequence[Undo]) -> Film:
@@ -162,22 +217,35 @@ def _treat(views: Mapping[str, ViewFrames], undos: Sequence[Undo]) -> Film:
 
 
 def _alternatives(views: Mapping[str, ViewFrames], undos: Sequence[Undo], film: Film) -> list[Film]:
-    """Return what frames without the fault may be: with what was lost, rightly or wrongly, and by parameters at their ends."""
+    """Return what frames without the fault may be: with what was lost, rightly or wrongly, and by
+    parameters at their ends.
+    """
     if all(way.is_exact for undo in undos for way in undo.ways.values()):
         return []
-    films: list[Film] = [{name: _put_back(view, undos, name, sign) for name, view in film.items()} for sign in (-1, 1, 0)]
+    films: list[Film] = [
+        {name: _put_back(view, undos, name, sign) for name, view in film.items()}
+        for sign in (-1, 1, 0)
+    ]
     for at, undo in enumerate(undos):
         n_ends = max(len(way.at_ends) for way in undo.ways.values())
-        films += [_treat(views, [*undos[:at], undo.at_end(number), *undos[at + 1 :]]) for number in range(n_ends)]
+        films += [
+            _treat(views, [*undos[:at], undo.at_end(number), *undos[at + 1 :]])
+            for number in range(n_ends)
+        ]
     return films
 
 
 def _put_back(view: ViewFrames, undos: Sequence[Undo], name: str, sign: int) -> ViewFrames:
-    return replace(view, rendered=lambda index: put_back(undos, name, view.rendered(index), view.truth(index), sign))
+    return replace(
+        view,
+        rendered=lambda index: put_back(undos, name, view.rendered(index), view.truth(index), sign),
+    )
 
 
 def _within(value: float, scores: Sequence[float]) -> Score:
-    """A value with its interval, from the first score, three with what was lost, and pairs at the ends of parameters."""
+    """A value with its interval, from the first score, three with what was lost, and pairs at the
+    ends of parameters.
+    """
     if len(scores) == 1:
         return Score(value, value, value)
     fewer, more, sharper, *ends = np.array(scores[1:]) - scores[0]
@@ -193,7 +261,11 @@ def _within(value: float, scores: Sequence[float]) -> Score:
 
 
 def _score(
-    films: Sequence[Film], instants: Sequence[int], border_px: int, measurement: Measurement, metrics: Sequence[str]
+    films: Sequence[Film],
+    instants: Sequence[int],
+    border_px: int,
+    measurement: Measurement,
+    metrics: Sequence[str],
 ) -> tuple[list[dict[str, float]], dict[str, str]]:
     """Measure films of the same views, and say which metrics cannot be measured."""
     values: dict[tuple[int, str], list[float]] = {}
@@ -206,12 +278,17 @@ def _score(
             )
             for i in instants
         )
-        for number, scored in enumerate(score_views(pictures, metrics, metric_options(measurement))):
+        for number, scored in enumerate(
+            score_views(pictures, metrics, metric_options(measurement))
+        ):
             not_computed |= scored.not_computed
             for metric, _, value in scored.values:
                 values.setdefault((number, metric), []).append(value)
     computed = [metric for metric in metrics if metric not in not_computed]
-    means = [{metric: float(np.mean(values[number, metric])) for metric in computed} for number in range(len(films))]
+    means = [
+        {metric: float(np.mean(values[number, metric])) for metric in computed}
+        for number in range(len(films))
+    ]
     return means, not_computed
 
 
@@ -231,7 +308,8 @@ def _frame_metrics(names: Sequence[str]) -> tuple[str, ...]:
     ]
     if unfit:
         raise MetricError(
-            f"--metrics: wanted metrics of single frames, e.g. PSNR SSIM LPIPS, got {', '.join(unfit)}; leave it out"
+            f"--metrics: wanted metrics of single frames, e.g. PSNR SSIM LPIPS, got "
+            f"{', '.join(unfit)}; leave it out"
         )
     return tuple(metric.name for metric in selected)
 
@@ -243,22 +321,35 @@ def _cut(image: Any, border_px: int, measurement: Measurement) -> Any:
     border = ceil(border_px * max(scaled.shape[0] / height, 1 / height))
     rows, columns = scaled.shape[:2]
     if min(rows, columns) - 2 * border < 16:
-        raise RenderError(f"frames of {columns} x {rows} px leave nothing within a border of {border} px; the shift is too large")
+        raise RenderError(
+            f"frames of {columns} x {rows} px leave nothing within a border of {border} px; the "
+            f"shift is too large"
+        )
     return scaled[border : rows - border, border : columns - border]
 
 
 def what_if_text(label: str, outcome: WhatIf) -> str:
     """Write the rows as a table, and what they stand on."""
     where = f"frames {as_ranges(list(outcome.estimated_on))}"
-    stays = "".join(f"; {finding.question} of {finding.subject} stays ({finding.verdict})" for finding in outcome.stays)
+    stays = "".join(
+        f"; {finding.question} of {finding.subject} stays ({finding.verdict})"
+        for finding in outcome.stays
+    )
     if not outcome.rows:
-        return f"{label}: nothing to undo in {where} of {outcome.views} views; {outcome.loss or stays[2:]}"
+        return (
+            f"{label}: nothing to undo in {where} of {outcome.views} views; "
+            f"{outcome.loss or stays[2:]}"
+        )
     metrics = list(outcome.rows[0].scores)
-    lines = [[row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)] for row in outcome.rows]
+    lines = [
+        [row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)]
+        for row in outcome.rows
+    ]
     return "\n".join(
         [
-            f"{label}: no result: scores without the fault. Estimated on {where}, scored on {as_ranges(list(outcome.scored_on))} "
-            f"of {outcome.views} views, {outcome.border_px} px cut off at each side{stays}",
+            f"{label}: no result: scores without the fault. Estimated on {where}, scored on "
+            f"{as_ranges(list(outcome.scored_on))} of {outcome.views} views, {outcome.border_px} "
+            f"px cut off at each side{stays}",
             text_table({"frames": 1, **dict.fromkeys(metrics, 0)}, lines),
             "in brackets the 95 % interval of the score without the fault, where it is not exact",
             *(f"{metric}: {reason}" for metric, reason in outcome.not_computed.items()),
@@ -270,4 +361,8 @@ def cell_text(metric: str, score: Score) -> str:
     """Write a number, and in brackets its interval where it has one."""
     digits = METRICS[metric].decimals if METRICS[metric].decimals is not None else 3
     text = f"{score.value:.{digits}f}"
-    return text if score.low == score.high else f"{text} [{score.low:.{digits}f}, {score.high:.{digits}f}]"
+    return (
+        text
+        if score.low == score.high
+        else f"{text} [{score.low:.{digits}f}, {score.high:.{digits}f}]"
+    )

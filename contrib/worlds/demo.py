@@ -1,4 +1,6 @@
-"""The demo capture: the procedural room rendered by the rig, in the layout of any data set, with exact depth."""
+"""The demo capture: the procedural room rendered by the rig, in the layout of any data set, with
+exact depth.
+"""
 
 import json
 import shutil
@@ -24,24 +26,32 @@ VERSION = 2
 T = TypeVar("T")
 SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)
 SHIPPED = DemoOptions(depth_stride=0)
-# What was filmed of each room that ships. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
+# What was filmed of each room that ships. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two
+# rows of five.
 DEMO_ROOMS: dict[str, DemoOptions] = {
     MAIN: SHIPPED,
-    "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
-    "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid", width=320, height=180),
+    "demo-enerf-outdoor": replace(
+        SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"
+    ),
+    "demo-d3dmv": replace(
+        SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid", width=320, height=180
+    ),
 }
 
 
 def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
-    """Write the capture; a complete one of the same options is left as it is, and one that ships is unpacked.
+    """Write the capture; a complete one of the same options is left as it is, and one that ships is
+    unpacked.
 
     Args:
         folder: where to; absent, empty, or the same demo.
-        workers: processes, by default one per core; 1 stays in this process. The bytes do not depend on it.
+        workers: processes, by default one per core; 1 stays in this process. The bytes do not
+            depend on it.
 
     Returns:
-        The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` except for rgbd, which has a sensor's depth;
-        with dynerf and colmap ``path/poses_bounds.npy`` and ``path/images/`` (one instant, without gain and noise).
+        The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` except for rgbd,
+        which has a sensor's depth; with dynerf and colmap ``path/poses_bounds.npy`` and
+        ``path/images/`` (one instant, without gain and noise).
     """
     for name, shipped in DEMO_ROOMS.items():
         if options == shipped:
@@ -59,7 +69,9 @@ def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) ->
 
 
 def _executor(workers: int) -> Executor:
-    """Return the processes that start afresh: forked ones would inherit the threads of torch and OpenCV."""
+    """Return the processes that start afresh: forked ones would inherit the threads of torch and
+    OpenCV.
+    """
     if workers == 1:
         return ThreadPoolExecutor(1)
     return worker_pool(workers)
@@ -71,8 +83,13 @@ def _film(executor: Executor, folder: Path, options: DemoOptions) -> None:
     shots, parts = layout.shots(options), folder / PARTS
     parts.mkdir()
     instants = sorted({index for shot in shots for index in shot.instants})
-    _await("lighting the room", [executor.submit(light_instant, parts, options, index) for index in instants])
-    cameras = _await("filming", [executor.submit(_film_shot, folder, options, shot) for shot in shots])
+    _await(
+        "lighting the room",
+        [executor.submit(light_instant, parts, options, index) for index in instants],
+    )
+    cameras = _await(
+        "filming", [executor.submit(_film_shot, folder, options, shot) for shot in shots]
+    )
     # A worker has the room at hand; this process would have to light it first.
     executor.submit(layout.finish, folder, options, cameras).result()
     shutil.rmtree(parts)
@@ -89,7 +106,10 @@ def _await(doing: str, jobs: list[Future[T]]) -> list[T]:
 
 
 def _description(options: DemoOptions) -> str:
-    """Return the text of demo.json; of options that came later it names those that are used, so that old demos stay valid."""
+    """Return the text of demo.json.
+
+    Of options that came later it names those that are used, so that old demos stay valid.
+    """
     unused = {name for name in LATER if getattr(options, name) == getattr(DemoOptions, name)}
     used_options = {name: value for name, value in asdict(options).items() if name not in unused}
     described = {
@@ -97,6 +117,8 @@ def _description(options: DemoOptions) -> str:
         "options": used_options,
         "units_per_metre": LAYOUTS[options.layout].units_per_metre,
         "path_time_s": options.path_frame / options.fps,
-        "camera_gains": [[round(float(value), 6) for value in gain] for gain in camera_gains(options)],
+        "camera_gains": [
+            [round(float(value), 6) for value in gain] for gain in camera_gains(options)
+        ],
     }
     return json.dumps(described, indent=1) + "\n"

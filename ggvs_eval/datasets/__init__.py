@@ -24,11 +24,15 @@ from ggvs_eval.plugins import Registry, foreign
 def _checked(name: str, spec: object) -> DatasetSpec:
     if not isinstance(spec, DatasetSpec):
         raise TypeError(f"wanted a DatasetSpec, got {type(spec).__name__}")
-    return replace(spec, refuse=partial(_refused, name, spec.refuse), load=partial(_loaded, name, spec.load))
+    return replace(
+        spec, refuse=partial(_refused, name, spec.refuse), load=partial(_loaded, name, spec.load)
+    )
 
 
 def _refused(name: str, refuse: Callable[[Path], str | None], path: Path) -> str | None:
-    """Return the reason why a path is not of a plug-in's layout, including that it cannot decide."""
+    """Return the reason why a path is not of a plug-in's layout, including that it cannot
+    decide.
+    """
     try:
         with foreign(f"layout {name}: failed"):
             refusal = refuse(path)
@@ -39,7 +43,9 @@ def _refused(name: str, refuse: Callable[[Path], str | None], path: Path) -> str
         return str(error)
 
 
-def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, units: GivenUnits) -> Capture:
+def _loaded(
+    name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, units: GivenUnits
+) -> Capture:
     with foreign(f"layout {name}: {path} cannot be opened", CaptureError):
         capture = load(path, units)
         if not isinstance(capture, Capture):
@@ -47,9 +53,14 @@ def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, 
         return capture
 
 
-DEPTH_FILES: Registry[Callable[[Capture, GivenDepth], Capture]] = Registry("depth files", built_in.DEPTH_FILES)
-REFUSALS: Registry[Callable[[Path, Mapping[str, str]], str]] = Registry("refusals", built_in.REFUSALS)
-DATASETS: Registry[DatasetSpec] = Registry("datasets", built_in.DATASETS, _checked)  # in the order in which they are tried
+DEPTH_FILES: Registry[Callable[[Capture, GivenDepth], Capture]] = Registry(
+    "depth files", built_in.DEPTH_FILES
+)
+REFUSALS: Registry[Callable[[Path, Mapping[str, str]], str]] = Registry(
+    "refusals", built_in.REFUSALS
+)
+# in the order in which they are tried
+DATASETS: Registry[DatasetSpec] = Registry("datasets", built_in.DATASETS, _checked)
 
 
 def open_capture(
@@ -63,22 +74,24 @@ def open_capture(
     """Open a capture.
 
     Args:
-        path: folder of one scene, or the file of one (``scene000.h5``); or ``DATASET:SCENE`` of a public capture that
-            `ggvs_eval.datasets.public_captures.get_capture` has fetched.
+        path: folder of one scene, or the file of one (``scene000.h5``); or ``DATASET:SCENE`` of a
+            public capture that `ggvs_eval.datasets.public_captures.get_capture` has fetched.
         layout: a name in `DATASETS`; the first that fits when None.
-        units: world units per metre where the user knows better than the capture, or a TOML file that says how to measure them;
-            see `ggvs_eval.datasets.units.choose_units`.
+        units: world units per metre where the user knows better than the capture, or a TOML file
+            that says how to measure them; see `ggvs_eval.datasets.units.choose_units`.
         drop_unsynced: leave out cameras known to be out of step: cam13 of coffee_martini.
-        measure_depth: measure depth ranges that the capture does not give, which takes a second or some; without, they are
-            guessed from where its cameras look.
+        measure_depth: measure depth ranges that the capture does not give, which takes a second or
+            some; without, they are guessed from where its cameras look.
 
     Raises:
-        CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
+        CaptureError: nothing there, no layout that fits (with the reason of each), or a capture
+            that is damaged.
 
     Reading:
-        What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`. What is known
-        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.assemble`. Near and far of its cameras are
-        settled by `ggvs_eval.datasets.depth_range.settle_depth_ranges`.
+        What ``corrections.toml`` in the capture says is done to its frames, see
+        `ggvs_eval.datasets.corrections`. What is known to be wrong with a public scene becomes a
+        note, see `ggvs_eval.datasets.assemble`. Near and far of its cameras are settled by
+        `ggvs_eval.datasets.depth_range.settle_depth_ranges`.
 
     Examples:
         >>> import json, tempfile
@@ -87,7 +100,10 @@ def open_capture(
         >>> transforms = {"fl_x": 8, "fl_y": 8, "cx": 4, "cy": 3, "w": 8, "h": 6, "frames": []}
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     for i in range(2):
-        ...         pose = {"file_path": f"images/cam{i}.png", "transform_matrix": (np.eye(4) + i * np.eye(4, k=3)).tolist()}
+        ...         pose = {
+        ...             "file_path": f"images/cam{i}.png",
+        ...             "transform_matrix": (np.eye(4) + i * np.eye(4, k=3)).tolist(),
+        ...         }
         ...         transforms["frames"].append(pose)
         ...         write_image(Path(folder) / pose["file_path"], np.full((6, 8, 3), i, np.uint8))
         ...     _ = (Path(folder) / "transforms.json").write_text(json.dumps(transforms))
@@ -99,14 +115,19 @@ def open_capture(
     if not path.exists():
         raise CaptureError(no_such_path(path, "a folder with a capture"))
     if path.is_dir() and not list_entries(path):
-        raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
+        raise CaptureError(
+            f"{path}: wanted a capture, got an empty folder; add frames and poses, or try "
+            f"'ggvs-eval demo'"
+        )
     spec = DATASETS[detect_layout(path, layout)]
     with watch_reads() as files_read:
         capture = spec.load(path, units)
         corrections = corrections_file(path)
         capture = apply_corrections(capture, read_corrections(corrections), corrections)
         files_read |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
-    capture = replace(capture, notes=(*capture.notes, *unused_note(path, files_read, capture.notes)))
+    capture = replace(
+        capture, notes=(*capture.notes, *unused_note(path, files_read, capture.notes))
+    )
     return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 
@@ -118,7 +139,9 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     """
     if layout is not None and layout not in DATASETS:
         layouts = ", ".join(DATASETS)
-        raise CaptureError(f"{path}: wanted a layout of {layouts}, got {layout!r}{did_you_mean(layout, DATASETS)}")
+        raise CaptureError(
+            f"{path}: wanted a layout of {layouts}, got {layout!r}{did_you_mean(layout, DATASETS)}"
+        )
     candidates = DATASETS.working() if layout is None else [(layout, DATASETS[layout])]
     refusals: dict[str, str] = {}
     for name, spec in candidates:

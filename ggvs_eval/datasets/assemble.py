@@ -1,7 +1,9 @@
-"""Assembly, the last step of every adapter: cameras and frames that fit each other become a `Capture`.
+"""Assembly, the last step of every adapter: cameras and frames that fit each other become a
+`Capture`.
 
-Frame t of every camera shows one instant, so that counts and rates must be one; ``crop.toml`` says which part of a calibration's
-pictures the frames are; known faults of public scenes and cameras are reported or left out.
+Frame t of every camera shows one instant, so that counts and rates must be one; ``crop.toml`` says
+which part of a calibration's pictures the frames are; known faults of public scenes and cameras are
+reported or left out.
 """
 
 import tomllib
@@ -30,8 +32,8 @@ CROP_FILE = "crop.toml"
 UNNAMED = "capture"  # the folder that `evaluate` writes into OUT, whose name is the scene's
 AS_STORED = "read as stored, which the calibration matches"
 TURNED = (
-    "turned accordingly; a calibration of the stored pixels (COLMAP) would not fit: check by `ggvs-eval check`, else remove the "
-    "tag (exiftool -Orientation= FILES)"
+    "turned accordingly; a calibration of the stored pixels (COLMAP) would not fit: check by "
+    "`ggvs-eval check`, else remove the tag (exiftool -Orientation= FILES)"
 )
 Size = tuple[int, int]
 LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
@@ -59,16 +61,19 @@ def assemble_capture(
     notes: Sequence[str] = (),
     test_views: Sequence[str] = (),
 ) -> Capture:
-    """Check that all cameras have the same instants and scale each camera to the size of its frames.
+    """Check that all cameras have the same instants and scale each camera to the size of its
+    frames.
 
     Args:
         units: world units per metre.
-        scene: what the scene is called; the last part of the path by default, the one above for a `capture`.
-        fps: frames per second where the layout says it; by default that of the videos, 30 for images.
+        scene: what the scene is called; the last part of the path by default, the one above for a
+            `capture`.
+        fps: frames per second where the layout says it; by default that of the videos, 30 for
+            images.
 
     Raises:
-        CaptureError: cameras that differ in frame count or rate, frames of another shape than the calibration, or two cameras of
-            one name.
+        CaptureError: cameras that differ in frame count or rate, frames of another shape than the
+            calibration, or two cameras of one name.
     """
     check_rig_size(path, len(cameras))
     *_, parent, name = ("", *path.resolve().parts[1:])
@@ -76,19 +81,33 @@ def assemble_capture(
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice or not names:
         matches = f"several called {', '.join(twice)}" if twice else "none"
-        raise CaptureError(f"{path}: wanted cameras of different names, got {matches}; correct the calibration")
+        raise CaptureError(
+            f"{path}: wanted cameras of different names, got {matches}; correct the calibration"
+        )
     unfit = [name for name in names if not is_inside(name) or Path(name).name != name]
     if unfit:
-        raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
-    sources = [as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)]
+        raise CaptureError(
+            f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename "
+            f"this camera"
+        )
+    sources = [
+        as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)
+    ]
     aligned = align_instants(path, dict(zip(names, sources, strict=True)), extras, fps)
     crop = given_crop(path)
-    cut = [f"frames begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}"] if crop else []
+    cut = (
+        [f"frames begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}"]
+        if crop
+        else []
+    )
     return Capture(
         scene=scene or (parent if name == UNNAMED and parent else name),
         layout=layout,
         path=path,
-        cameras=tuple(_fit_camera(camera, source, path, crop) for camera, source in zip(cameras, sources, strict=True)),
+        cameras=tuple(
+            _fit_camera(camera, source, path, crop)
+            for camera, source in zip(cameras, sources, strict=True)
+        ),
         sources=tuple[FrameSource, ...](aligned.sources.values()),
         n_frames=next(iter(aligned.sources.values())).n_frames,
         fps=aligned.fps,
@@ -103,7 +122,9 @@ def assemble_capture(
 def check_rig_size(path: Path, n_cameras: int) -> None:
     """Refuse an implausibly large rig before anything is computed of it."""
     if n_cameras > LARGEST_RIG:
-        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; give a part of them")
+        raise CaptureError(
+            f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; give a part of them"
+        )
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
@@ -112,7 +133,10 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
     if slanted:
         largest = max(camera.deviation for camera in slanted)
         names_text = listed([camera.name for camera in slanted])
-        notes.append(f"rotations of {names_text} are off by up to {largest:.1e}: replaced by the nearest rotations")
+        notes.append(
+            f"rotations of {names_text} are off by up to {largest:.1e}: replaced by the nearest "
+            f"rotations"
+        )
     sentences: dict[str, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
         files = list(source_chain(source))[-1]
@@ -120,17 +144,29 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
             for sentence, detail in _said_of(files):
                 sentences.setdefault(sentence, []).append(f"{camera.name}{detail}")
     for sentence, names in sentences.items():
-        notes.append(sentence.format("all cameras" if len(names) == len(cameras) > 1 else listed(names)))
+        notes.append(
+            sentence.format("all cameras" if len(names) == len(cameras) > 1 else listed(names))
+        )
     return notes
 
 
 def _said_of(files: ImageFrames | VideoFrames) -> Iterator[tuple[str, str]]:
-    """Yield what is to be said of the frames of a camera, with a place for names, and what is added to its own."""
+    """Yield what is to be said of the frames of a camera, with a place for names, and what is added
+    to its own.
+    """
     if isinstance(files, VideoFrames) and files.interlaced:
-        yield f"frames of {{}} are interlaced, two instants in every other row each: {DEINTERLACE} parts them", ""
+        yield (
+            f"frames of {{}} are interlaced, two instants in every other row each: {DEINTERLACE} "
+            f"parts them",
+            "",
+        )
     if isinstance(files, ImageFrames) and files.orientations:
         tags = ", ".join(map(str, files.orientations))
-        yield f"pictures of {{}} with the EXIF orientation {tags} are {AS_STORED if files.as_stored else TURNED}", ""
+        yield (
+            f"pictures of {{}} with the EXIF orientation {tags} are "
+            f"{AS_STORED if files.as_stored else TURNED}",
+            "",
+        )
     if isinstance(files, ImageFrames) and files.other_kinds:
         yield f"frames of {{}} are read without {', '.join(files.other_kinds)} beside them", ""
     for change, count in files.conversions.items():
@@ -138,10 +174,14 @@ def _said_of(files: ImageFrames | VideoFrames) -> Iterator[tuple[str, str]]:
 
 
 def _fit_camera(camera: Camera, source: SizedSource, path: Path, crop: "Crop | None") -> Camera:
-    """Return the camera at the size of its frames, which may be a uniformly scaled one, or of a part."""
+    """Return the camera at the size of its frames, which may be a uniformly scaled one, or of a
+    part.
+    """
     width, height = source.size
     if crop:
-        lens = crop_lens(camera.name, Lens(camera.K, "opencv", (0.0,) * 4, *camera.size), source.size, crop)
+        lens = crop_lens(
+            camera.name, Lens(camera.K, "opencv", (0.0,) * 4, *camera.size), source.size, crop
+        )
         camera = replace(camera, K=lens.K, width=lens.width, height=lens.height)
     if (width, height) != camera.size:
         _check_K_is_of(camera, source.size, path)
@@ -149,20 +189,25 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path, crop: "Crop | N
         tags = source.orientations if isinstance(source, ImageFrames) else ()
         turned = f", turned as their EXIF orientation {tags[0]} says," if tags else ""
         raise CaptureError(
-            f"{getattr(source, 'path', path)}: frames of {width} x {height}{turned} have another shape than the {camera.width} x "
-            f"{camera.height} that {camera.name} is calibrated for; {describe_crop((width, height), camera.size, path)}"
+            f"{getattr(source, 'path', path)}: frames of {width} x {height}{turned} have another "
+            f"shape than the {camera.width} x {camera.height} that {camera.name} is calibrated "
+            f"for; {describe_crop((width, height), camera.size, path)}"
         )
     return camera.resized(width, height)
 
 
 def _check_K_is_of(camera: Camera, frames: Size, path: Path) -> None:
-    """Refuse a K whose principal point is in the middle of the frames, and far off that of the size which its file states."""
-    off_stated, off_frames = (np.abs(camera.K[:2, 2] / size - 0.5).max() for size in (camera.size, frames))
+    """Refuse a K whose principal point is in the middle of the frames, and far off that of the size
+    which its file states.
+    """
+    off_stated, off_frames = (
+        np.abs(camera.K[:2, 2] / size - 0.5).max() for size in (camera.size, frames)
+    )
     if off_stated > LARGEST_OFFSET >= off_frames:
         point = f"({camera.K[0, 2]:g}, {camera.K[1, 2]:g})"
         raise CaptureError(
-            f"{path}: K of {camera.name} is of {frames[0]} x {frames[1]} images, by its principal point {point}, its file says "
-            f"{camera.width} x {camera.height}: correct the size, or K"
+            f"{path}: K of {camera.name} is of {frames[0]} x {frames[1]} images, by its principal "
+            f"point {point}, its file says {camera.width} x {camera.height}: correct the size, or K"
         )
 
 
@@ -182,7 +227,11 @@ class Crop:
 def given_crop(folder: Path) -> Crop | None:
     """Read ``crop.toml`` in a capture's folder; None without that file."""
     file = folder / CROP_FILE
-    return build_table(Crop, read_toml(file, CaptureError), str(file), "", CaptureError) if file.exists() else None
+    return (
+        build_table(Crop, read_toml(file, CaptureError), str(file), "", CaptureError)
+        if file.exists()
+        else None
+    )
 
 
 def write_crop(folder: Path, crop: Crop) -> Path:
@@ -193,7 +242,9 @@ def write_crop(folder: Path, crop: Crop) -> Path:
 
 
 def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
-    """Return the lens of a camera's frames; of pictures that are whole, or only scaled, the lens as it is.
+    """Return the lens of a camera's frames.
+
+    Of pictures that are whole, or only scaled, the lens as it is.
 
     Args:
         frames: (width, height) of the frames, pixels; the crop is of pixels of the calibrated size.
@@ -204,14 +255,16 @@ def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
     right, bottom = crop.left + frames[0], crop.top + frames[1]
     if min(crop.left, crop.top) < 0 or right > lens.width or bottom > lens.height:
         raise CameraError(
-            f"wanted a crop within the {lens.width} x {lens.height} that {name} is calibrated for, got frames of {frames[0]} x "
-            f"{frames[1]} from {crop.left} {crop.top}; correct it"
+            f"wanted a crop within the {lens.width} x {lens.height} that {name} is calibrated for, "
+            f"got frames of {frames[0]} x {frames[1]} from {crop.left} {crop.top}; correct it"
         )
     return lens.cropped(crop.left, crop.top, *frames)
 
 
 def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
-    """Explain frames of another shape than their calibration, and what to do; for the end of a message.
+    """Explain frames of another shape than their calibration, and what to do.
+
+    For the end of a message.
 
     Examples:
         >>> describe_crop((1080, 1920), (1088, 1920), Path("rig"))[:25]
@@ -221,18 +274,20 @@ def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
     if rows == 0 > columns and frames[0] % calibrated[0] == 0:
         n_beside = frames[0] // calibrated[0]
         return (
-            f"each frame holds {n_beside} pictures side by side: cut them into one video or folder per camera, ffmpeg -i IN -vf "
-            f"crop=iw/{n_beside}:ih:0:0 OUT.mp4 for the first"
+            f"each frame holds {n_beside} pictures side by side: cut them into one video or folder "
+            f"per camera, ffmpeg -i IN -vf crop=iw/{n_beside}:ih:0:0 OUT.mp4 for the first"
         )
     if min(columns, rows) < 0:
         return "use the calibrated frames, scaled but not cropped"
     counts = [f"{count} {noun}" for count, noun in ((columns, "columns"), (rows, "rows")) if count]
     centred = f"{columns // 2} {rows // 2}"
     return (
-        f"{' and '.join(counts)} of it are missing. If they were cut off, give the first column and row of the frames: "
-        f"'ggvs-eval check {path} --crop 0 0' where they are cut at the right and the bottom, as codecs do, {centred} where on "
-        "all sides ('crop' in capture.toml). If 'colmap image_undistorter' wrote the frames, take the sparse/ that it "
-        "wrote beside them for the model, or the original frames; if they were scaled unevenly, give those that were not"
+        f"{' and '.join(counts)} of it are missing. If they were cut off, give the first column "
+        f"and row of the frames: 'ggvs-eval check {path} --crop 0 0' where they are cut at the "
+        f"right and the bottom, as codecs do, {centred} where on all sides ('crop' in "
+        "capture.toml). If 'colmap image_undistorter' wrote the frames, take the sparse/ that it "
+        "wrote beside them for the model, or the original frames; if they were scaled unevenly, "
+        "give those that were not"
     )
 
 
@@ -243,7 +298,8 @@ class KnownTrap:
     Attributes:
         dataset: what people call the data set.
         reason: what is wrong, in words that follow the camera's or the scene's name.
-        scenes: folders of the scenes that it concerns, regardless of the case of their letters; any when empty.
+        scenes: folders of the scenes that it concerns, regardless of the case of their letters; any
+            when empty.
         layout: name of the layout that it concerns; any when empty.
         camera: the camera that it concerns; the whole scene when empty.
         leave_out: the camera is no good as a source and left out unless it is asked for.
@@ -273,7 +329,8 @@ def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
     """Leave out cameras that are known to be faulty, and note the other known faults of a capture.
 
     Args:
-        leave_out: leave cameras out; when False they are kept, and the note says what is wrong with them.
+        leave_out: leave cameras out; when False they are kept, and the note says what is wrong with
+            them.
     """
     for trap in known_traps():
         if not trap.concerns(capture):
@@ -283,7 +340,10 @@ def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
             capture = capture.without([trap.camera], reason)
         else:
             subject = f"{trap.camera} of {capture.scene}" if trap.camera else capture.scene
-            capture = capture.noted(f"known trap of {trap.dataset}, {subject}{', kept' if trap.leave_out else ''}: {reason}")
+            capture = capture.noted(
+                f"known trap of {trap.dataset}, {subject}{', kept' if trap.leave_out else ''}: "
+                f"{reason}"
+            )
     return capture
 
 

@@ -1,4 +1,6 @@
-"""Captures that are a calibration file of another tool next to its frames, read without conversion."""
+"""Captures that are a calibration file of another tool next to its frames, read without
+conversion.
+"""
 
 import re
 from collections.abc import Callable
@@ -58,14 +60,30 @@ class Kind:
 
 
 KINDS = {
-    "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) next to videos", (".qca.txt",), None, read_qualisys),
+    "qualisys": Kind(
+        describe="CALIBRATION.qca.txt (Qualisys) next to videos",
+        suffixes=(".qca.txt",),
+        content=None,
+        read=read_qualisys,
+    ),
     "anipose": Kind(
-        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) next to videos", (".toml", ".json"), ANIPOSE, read_anipose
+        describe="CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) next to videos",
+        suffixes=(".toml", ".json"),
+        content=ANIPOSE,
+        read=read_anipose,
     ),
     "easymocap": Kind(
-        "intri.yml (EasyMocap), lenses alone", (".yml", ".yaml"), EASYMOCAP, lambda path: [*read_lenses(path).values()]
+        describe="intri.yml (EasyMocap), lenses alone",
+        suffixes=(".yml", ".yaml"),
+        content=EASYMOCAP,
+        read=lambda path: [*read_lenses(path).values()],
     ),
-    "opencv": Kind("CAM.yml or STEREO.xml (cv2.FileStorage, ROS) next to videos", (".yml", ".yaml", ".xml"), OPENCV, read_opencv),
+    "opencv": Kind(
+        describe="CAM.yml or STEREO.xml (cv2.FileStorage, ROS) next to videos",
+        suffixes=(".yml", ".yaml", ".xml"),
+        content=OPENCV,
+        read=read_opencv,
+    ),
 }
 
 
@@ -88,7 +106,9 @@ def refuse(kind: str, path: Path) -> str | None:
 
 
 def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
-    """Return the calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
+    """Return the calibration files in a folder, of one kind or of the first that is there.
+
+    The file itself where it is one.
 
     A file for each camera is usual with OpenCV, so there may be several.
     """
@@ -100,32 +120,50 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     reader, files = _find(path, kind)
     cameras = [camera for file in files for camera in reader(file)]
     check_rig_size(path, len(cameras))
-    if len({camera.name for camera in cameras}) < len(cameras) == len({camera.stem for camera in cameras if camera.stem}):
-        cameras = [replace(camera, name=camera.stem) for camera in cameras]  # ROS writes one name into every file
+    if (
+        len({camera.name for camera in cameras})
+        < len(cameras)
+        == len({camera.stem for camera in cameras if camera.stem})
+    ):
+        # ROS writes one name into every file
+        cameras = [replace(camera, name=camera.stem) for camera in cameras]
     names = [camera.name for camera in cameras]
     if not names:
         content = listed([file.name for file in files]) or "no file"
-        raise CaptureError(f"{path}: wanted cameras, got {content}, of an unknown form; see docs/your_rig.md for the known forms")
+        raise CaptureError(
+            f"{path}: wanted cameras, got {content}, of an unknown form; see docs/your_rig.md for "
+            f"the known forms"
+        )
     if not all(names) or len(set(names)) < len(names):
         raise CaptureError(
-            f"{path}: wanted a calibration with cameras of different names, got {listed(names)}; correct the names"
+            f"{path}: wanted a calibration with cameras of different names, got {listed(names)}; "
+            f"correct the names"
         )
     is_metric = all(camera.is_metric for camera in cameras)
-    return CalibrationFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
+    return CalibrationFile(
+        dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None
+    )
 
 
 def load(kind: str, path: Path, units: GivenUnits) -> Capture:
-    """Open a folder of videos or images with its calibration file; frames are undistorted as they are read.
+    """Open a folder of videos or images with its calibration file.
+
+    Frames are undistorted as they are read.
 
     Raises:
-        CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without pose.
+        CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without
+            pose.
 
     Reading:
-        Cameras without a pose or frames are left out and noted: a motion-capture studio has cameras that see markers alone.
+        Cameras without a pose or frames are left out and noted: a motion-capture studio has cameras
+        that see markers alone.
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    named = [file.cameras, {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values()}]
+    named = [
+        file.cameras,
+        {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values()},
+    ]
     errors = []
     for by_name in named[: 1 + (len(named[1]) == len(named[0]))]:
         try:
@@ -139,25 +177,41 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     file = replace(file, cameras=by_name)
     frames = found.sources
     filmed = [file.cameras[name] for name in frames]
-    poses = {camera.name: camera.world_to_camera for camera in filmed if camera.world_to_camera is not None}
+    poses = {
+        camera.name: camera.world_to_camera
+        for camera in filmed
+        if camera.world_to_camera is not None
+    }
     placed = [camera for camera in filmed if camera.name in poses]
     if len(placed) < 2:
         remedy = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
-        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(frames)}; {remedy}")
+        raise CaptureError(
+            f"{path}: wanted poses, got only intrinsics of {listed(frames)}; {remedy}"
+        )
     rig = []
     for camera in placed:
         try:
-            rig.append(RigCamera(camera.name, camera.lens(frames[camera.name].size), poses[camera.name]))
+            rig.append(
+                RigCamera(camera.name, camera.lens(frames[camera.name].size), poses[camera.name])
+            )
         except CameraError as error:
             raise CaptureError(f"{path}: {error}") from error
     unplaced = [camera.name for camera in filmed if camera.world_to_camera is None]
-    notes = [*found.notes, *([f"{listed(unplaced)} left out: calibrated, but without a pose"] if unplaced else [])]
+    notes = [
+        *found.notes,
+        *([f"{listed(unplaced)} left out: calibrated, but without a pose"] if unplaced else []),
+    ]
     unknown = sorted({key for camera in placed for key in camera.unknown})
     notes += [f"{path.name}: {listed(unknown)} unknown here, ignored"] if unknown else []
     sources = [frames[camera.name] for camera in placed]
     cameras, pinhole = pinhole_rig(rig, sources, path, folder)
     return assemble_capture(
-        folder, kind, cameras, pinhole, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
+        folder,
+        kind,
+        cameras,
+        pinhole,
+        choose_units(folder, units, cameras, of_data_set=file.units),
+        notes=notes,
     )
 
 
@@ -165,13 +219,20 @@ def _side_by_side(folder: Path, file: CalibrationFile) -> str:
     """Hint at pictures that are as wide as those of several cameras; empty where none is."""
     size = next(iter(file.cameras.values())).size
     shown = [ImageFrames(picture).size for picture in list_files_below(folder)[:1]]
-    return "".join(f"; {describe_crop(frames, size, folder)}" for frames in shown if size and frames[0] > size[0])
+    return "".join(
+        f"; {describe_crop(frames, size, folder)}"
+        for frames in shown
+        if size and frames[0] > size[0]
+    )
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
     """Return the files of `find_calibration_files`, and what reads them."""
     folders = folders_beside(path) if path.is_dir() else []
-    names = [name for name in KINDS if kind in (name, None) and (name != "easymocap" or not folders)]  # its folders have poses
+    # its folders have poses
+    names = [
+        name for name in KINDS if kind in (name, None) and (name != "easymocap" or not folders)
+    ]
     for kind_of_file in map(KINDS.__getitem__, names):
         for files in [list_entries(folder) for folder in folders] or [[path]]:
             if fitting := [file for file in files if kind_of_file.fits(file)]:
@@ -188,5 +249,6 @@ def _text(file: Path) -> str:
 
 
 QUALISYS_LAYOUT, ANIPOSE_LAYOUT, OPENCV_LAYOUT = (
-    DatasetSpec(KINDS[name].describe, partial(refuse, name), partial(load, name)) for name in ("qualisys", "anipose", "opencv")
+    DatasetSpec(KINDS[name].describe, partial(refuse, name), partial(load, name))
+    for name in ("qualisys", "anipose", "opencv")
 )

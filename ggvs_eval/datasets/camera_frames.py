@@ -1,4 +1,6 @@
-"""Frames of each camera on disk, found in the index of media by layouts and commands, and their coding."""
+"""Frames of each camera on disk, found in the index of media by layouts and commands, and their
+coding.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,7 +46,10 @@ USUAL = (
     ),
     *("images/CAM.png", "CAM.png", "images_2/CAM.png", "images_4/CAM.png", "images_8/CAM.png"),
 )
-IN_WORDS = f"{', '.join(name for name in USUAL if not name.endswith('.png'))} or one image per camera, here or in images/"
+IN_WORDS = (
+    f"{', '.join(name for name in USUAL if not name.endswith('.png'))} or one image per "
+    f"camera, here or in images/"
+)
 
 
 class FoundFrames(NamedTuple):
@@ -61,24 +66,37 @@ class FoundFrames(NamedTuple):
 
 
 def find_frames(path: Path, image_names: Mapping[str, str], fewest: int = 2) -> FoundFrames:
-    """Return the frames of known cameras: of the first usual group that has those of any, else of the one that has most.
+    """Return the frames of known cameras: of the first usual group that has those of any, else of
+    the one that has most.
 
     Args:
-        image_names: camera -> its image in the calibration, relative to ``images/`` or to the capture.
+        image_names: camera -> its image in the calibration, relative to ``images/`` or to the
+            capture.
         fewest: cameras that suffice where frames of the others are absent.
 
     Raises:
-        CaptureError: frames of fewer cameras, several groups that are equally good, or several files of one camera.
+        CaptureError: frames of fewer cameras, several groups that are equally good, or several
+            files of one camera.
     """
     fitting: dict[MediaGroup, tuple[Matches, dict[str, CameraFrames]]] = {}
     for group in _groups(path):
         matches = match_cameras(image_names, group.names)
         stills = _named_stills(path / group.place, image_names) if group.kind == ".png" else {}
-        if stills or (matches.names and not (matches.how and (group.kind == ".png" or NO_CAMERA.search(group.place)))):
+        if stills or (
+            matches.names
+            and not (matches.how and (group.kind == ".png" or NO_CAMERA.search(group.place)))
+        ):
             fitting[group] = matches, stills
-    best = _best(path, fitting, lambda group: (not fitting[group][0].how, *_worth(group, len(fitting[group][0].names))))
+    best = _best(
+        path,
+        fitting,
+        lambda group: (not fitting[group][0].how, *_worth(group, len(fitting[group][0].names))),
+    )
     if best is None:
-        raise CaptureError(f"{path}: wanted frames of {listed(image_names)}, got {instead_of_frames(path, image_names)}")
+        raise CaptureError(
+            f"{path}: wanted frames of {listed(image_names)}, got "
+            f"{instead_of_frames(path, image_names)}"
+        )
     matches, stills = fitting[best]
     cameras = {name: camera for camera, name in matches.names.items() if camera not in stills}
     on_disk = [(cameras[name], frames) for name, frames in best.members if name in cameras]
@@ -86,18 +104,40 @@ def find_frames(path: Path, image_names: Mapping[str, str], fewest: int = 2) -> 
     absent = [name for name in image_names if name not in sources]
     unread = _unread(path, absent) if absent else ""
     if len(sources) < min(fewest, len(image_names)):
-        remedy = f"but {unread}" if unread else "restore them or remove these cameras from the calibration"
+        remedy = (
+            f"but {unread}"
+            if unread
+            else "restore them or remove these cameras from the calibration"
+        )
         place = next(iter(sources.values())).path
-        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(absent)}, only for {place}; {remedy}")
-    beside = [name for name in best.names if name not in {*matches.names.values(), *SETS} and not NO_CAMERA.search(name)]
+        raise CaptureError(
+            f"{path}: wanted frames of every camera, got none for {listed(absent)}, only for "
+            f"{place}; {remedy}"
+        )
+    beside = [
+        name
+        for name in best.names
+        if name not in {*matches.names.values(), *SETS} and not NO_CAMERA.search(name)
+    ]
     pairs = listed(f"{camera} {name}" for camera, name in matches.names.items())
     notes = [f"cameras are matched to {best.pattern} {matches.how}: {pairs}"] if matches.how else []
-    notes += [f"{listed(absent)} left out: calibrated, but without frames" + f", {unread}" * bool(unread)] if absent else []
-    return FoundFrames({name: sources[name] for name in image_names if name in sources}, beside, notes)
+    notes += (
+        [
+            f"{listed(absent)} left out: calibrated, but without frames"
+            + f", {unread}" * bool(unread)
+        ]
+        if absent
+        else []
+    )
+    return FoundFrames(
+        {name: sources[name] for name in image_names if name in sources}, beside, notes
+    )
 
 
 def _groups(path: Path) -> list[MediaGroup]:
-    """Return the groups of media below a folder, usual ones also where they are empty: pictures may lie deeper."""
+    """Return the groups of media below a folder, usual ones also where they are empty: pictures may
+    lie deeper.
+    """
     index = index_media(path)
     return [*({pattern: MediaGroup(pattern, []) for pattern in USUAL} | index).values()]
 
@@ -108,22 +148,34 @@ def _may_be_rig(group: MediaGroup) -> bool:
 
 
 def _worth(group: MediaGroup, n_cameras: int) -> tuple[int, int, int]:
-    """What decides between groups that have frames of cameras: usual ones in their order go first, whatever they have."""
+    """What decides between groups that have frames of cameras: usual ones in their order go first,
+    whatever they have.
+    """
     if group.pattern in USUAL:
         return -USUAL.index(group.pattern), 0, 0
     return -len(USUAL), n_cameras, KINDS.index(group.kind)
 
 
-def _best(path: Path, groups: Iterable[MediaGroup], worth: Callable[[MediaGroup], Any]) -> MediaGroup | None:
+def _best(
+    path: Path, groups: Iterable[MediaGroup], worth: Callable[[MediaGroup], Any]
+) -> MediaGroup | None:
     """Return the group of most worth, None of none; two of the same worth are an error."""
     ordered = sorted(groups, key=worth)
     equal = [group for group in ordered if worth(group) == worth(ordered[-1])]
     if len(equal) > 1:
         sets_text = listed(f"{group.pattern} ({len(group.members)})" for group in equal)
-        remedy = "give the folder of one to 'ggvs-eval calibrate FOLDER RIG' (known poses: --known-poses FILE)"
+        remedy = (
+            "give the folder of one to 'ggvs-eval calibrate FOLDER RIG' (known poses: "
+            "--known-poses FILE)"
+        )
         if all(map(_is_recording, equal)):
-            remedy = f"these are parts of one recording each, by their first frames: {JOIN.format(equal[0].names[0])}"
-        raise CaptureError(f"{path}: wanted one set of frames of its cameras, got several: {sets_text}; {remedy}")
+            remedy = (
+                f"these are parts of one recording each, by their first frames: "
+                f"{JOIN.format(equal[0].names[0])}"
+            )
+        raise CaptureError(
+            f"{path}: wanted one set of frames of its cameras, got several: {sets_text}; {remedy}"
+        )
     return ordered[-1] if ordered else None
 
 
@@ -136,16 +188,20 @@ def _is_recording(group: MediaGroup) -> bool:
 
 
 JOIN = (
-    "join each into one, in another folder: write \"file '{}.MP4'\" and the like into LIST, then ffmpeg -f concat -i LIST "
-    "-c copy OUT.mp4"
+    "join each into one, in another folder: write \"file '{}.MP4'\" and the like into LIST, then "
+    "ffmpeg -f concat -i LIST -c copy OUT.mp4"
 )
-# GoPro's chapters: GX and GH with the chapter before the recording's number; GOPR, and GP from the second one on.
+# GoPro's chapters: GX and GH with the chapter before the recording's number; GOPR, and GP from the
+# second one on.
 CHAPTER = re.compile(r"(?:G[XH]\d\d|GOPR|GP\d\d)(\d{4})", re.I)
-COPY = re.compile(r"(.+?)[_\-. ]+[a-z]+", re.I)  # editing programs add a word to the name of a smaller copy
+# editing programs add a word to the name of a smaller copy
+COPY = re.compile(r"(.+?)[_\-. ]+[a-z]+", re.I)
 
 
 def _refuse_parts(path: Path, names: Sequence[str]) -> None:
-    """Refuse videos that are chapters of one recording, or of which each has a copy: all would be taken for cameras."""
+    """Refuse videos that are chapters of one recording, or of which each has a copy: all would be
+    taken for cameras.
+    """
     recordings: dict[str, list[str]] = {}
     for name in sorted(names, key=lambda name: (not name.upper().startswith("GOPR"), name)):
         chapter, copy = CHAPTER.fullmatch(name), COPY.fullmatch(name)
@@ -157,21 +213,32 @@ def _refuse_parts(path: Path, names: Sequence[str]) -> None:
         return
     videos_text = "; ".join(" and ".join(videos) for videos in parts)
     remedy = JOIN.format(parts[0][0])
-    kind, remedy = ("chapters", remedy) if is_split else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
-    raise CaptureError(f"{path}: wanted one video per camera, got {kind} of one recording: {videos_text}; {remedy}")
+    kind, remedy = (
+        ("chapters", remedy)
+        if is_split
+        else ("a smaller copy (proxy)", "move the copies into a folder elsewhere")
+    )
+    raise CaptureError(
+        f"{path}: wanted one video per camera, got {kind} of one recording: {videos_text}; {remedy}"
+    )
 
 
 def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
     """The frames of cameras that nothing is known of, in the order of names.
 
-    Of the first usual group of two or more; else of the group of most videos or folders of pictures below.
+    Of the first usual group of two or more; else of the group of most videos or folders of pictures
+    below.
 
     Raises:
-        CaptureError: no such folder, no two cameras in it, several groups that are equally good, or several files of one camera.
+        CaptureError: no such folder, no two cameras in it, several groups that are equally good, or
+            several files of one camera.
     """
     if not path.is_dir():
         content = "a file" if path.exists() else "nothing there"
-        raise CaptureError(f"{path}: wanted a folder with the frames of several cameras, got {content}; check the path")
+        raise CaptureError(
+            f"{path}: wanted a folder with the frames of several cameras, got {content}; check the "
+            f"path"
+        )
     if sources := rig_frames(path):
         return sources
     raise CaptureError(
@@ -193,19 +260,33 @@ def rig_frames(path: Path) -> dict[str, CameraFrames]:
 
 
 def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
-    """Describe what a folder holds instead of the frames of some or all cameras, and where they belong."""
+    """Describe what a folder holds instead of the frames of some or all cameras, and where they
+    belong.
+    """
     if unread := _unread(path, names):
         return f"none, but {unread}"
     remedy = "call these like the cameras" if names else "give the folder of one of these"
-    groups = (group for group in index_media(path).values() if len(group.members) > 1 and not NO_CAMERA.search(group.pattern))
+    groups = (
+        group
+        for group in index_media(path).values()
+        if len(group.members) > 1 and not NO_CAMERA.search(group.pattern)
+    )
     rigs = islice((group for group in groups if not all(map(str.isdecimal, group.names))), 3)
     groups_text = "; ".join(f"{group.pattern} ({listed(sorted(group.names))})" for group in rigs)
-    return f"none, but there is {groups_text}: {remedy}" if groups_text else f"none; put them in {IN_WORDS}"
+    return (
+        f"none, but there is {groups_text}: {remedy}"
+        if groups_text
+        else f"none; put them in {IN_WORDS}"
+    )
 
 
 def _unread(path: Path, names: Iterable[str]) -> str:
-    """Return the media in formats that are not read: videos of these cameras or, without names, of any; pictures."""
-    folders = dict.fromkeys(file.parent for file in list_files_below(path, (*UNREAD_VIDEOS, *UNREAD_PICTURES), DEEPEST))
+    """Return the media in formats that are not read: videos of these cameras or, without names, of
+    any; pictures.
+    """
+    folders = dict.fromkeys(
+        file.parent for file in list_files_below(path, (*UNREAD_VIDEOS, *UNREAD_PICTURES), DEEPEST)
+    )
     videos = next(filter(None, (unread_videos(folder, tuple(names)) for folder in folders)), "")
     pictures = ((folder, unread_pictures(folder)) for folder in folders)
     return videos or next((f"{folder} holds {unread}" for folder, unread in pictures if unread), "")
@@ -218,8 +299,15 @@ def _named_stills(parent: Path, image_names: Mapping[str, str]) -> dict[str, Cam
 
 
 def find_picture(parent: Path, image: str) -> Path | None:
-    """Return a picture by its name in a calibration, which may lack the suffix; None if there is none inside the folder."""
-    places = [parent / f"{image}{suffix}" for suffix in ("", *IMAGE_SUFFIXES)] if is_inside(image) else []
+    """Return a picture by its name in a calibration, which may lack the suffix.
+
+    None if there is none inside the folder.
+    """
+    places = (
+        [parent / f"{image}{suffix}" for suffix in ("", *IMAGE_SUFFIXES)]
+        if is_inside(image)
+        else []
+    )
     return next((place for place in places if place.is_file()), None)
 
 
@@ -232,8 +320,8 @@ def backgrounds(folder: Path, names: Iterable[str]) -> dict[str, ImageFrames]:
     files = {file.stem: ImageFrames(file) for file in list_images(folder)}
     if missing := [name for name in names if name not in files]:
         raise CaptureError(
-            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore them, or move "
-            "the folder elsewhere"
+            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore "
+            "them, or move the folder elsewhere"
         )
     return files
 
@@ -244,6 +332,7 @@ def _one_each(path: Path, named_frames: list[tuple[str, CameraFrames]]) -> dict[
         names = [name for name, _ in named_frames]
         twice = listed(sorted({name for name in names if names.count(name) > 1}))
         raise CaptureError(
-            f"{path}: wanted one file per camera, got several called {twice}; rename the others or move them elsewhere"
+            f"{path}: wanted one file per camera, got several called {twice}; rename the others or "
+            f"move them elsewhere"
         )
     return sources

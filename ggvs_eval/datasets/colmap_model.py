@@ -1,4 +1,6 @@
-"""COLMAP sparse models, binary and text, read as views with pose, pinhole intrinsics, lens and depth range."""
+"""COLMAP sparse models, binary and text, read as views with pose, pinhole intrinsics, lens and
+depth range.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,13 +34,18 @@ LENSES = """
     SIMPLE_RADIAL_FISHEYE f cx cy k1
     RADIAL_FISHEYE f cx cy k1 k2
     OPENCV_FISHEYE fx fy cx cy k1 k2 k3 k4"""
-COEFFICIENTS = {"fisheye": "k1 k2 k3 k4", "opencv": "k1 k2 p1 p2", "rational": "k1 k2 p1 p2 k3 k4 k5 k6"}
+COEFFICIENTS = {
+    "fisheye": "k1 k2 k3 k4",
+    "opencv": "k1 k2 p1 p2",
+    "rational": "k1 k2 p1 p2 k3 k4 k5 k6",
+}
 LARGEST_MODEL_FILE = 512 << 20
 # The lenses of binary models in the order of their numbers, each with how many parameters it has.
 MODELS = """
-    SIMPLE_PINHOLE 3 PINHOLE 4 SIMPLE_RADIAL 4 RADIAL 5 OPENCV 8 OPENCV_FISHEYE 8 FULL_OPENCV 12 FOV 5 SIMPLE_RADIAL_FISHEYE 4
-    RADIAL_FISHEYE 5 THIN_PRISM_FISHEYE 12 RAD_TAN_THIN_PRISM_FISHEYE 16 SIMPLE_DIVISION 4 DIVISION 5 SIMPLE_FISHEYE 3 FISHEYE 4
-    EUCM 6 EQUIRECTANGULAR 2"""
+    SIMPLE_PINHOLE 3 PINHOLE 4 SIMPLE_RADIAL 4 RADIAL 5 OPENCV 8 OPENCV_FISHEYE 8 FULL_OPENCV 12
+    FOV 5 SIMPLE_RADIAL_FISHEYE 4 RADIAL_FISHEYE 5 THIN_PRISM_FISHEYE 12
+    RAD_TAN_THIN_PRISM_FISHEYE 16 SIMPLE_DIVISION 4 DIVISION 5 SIMPLE_FISHEYE 3 FISHEYE 4 EUCM 6
+    EQUIRECTANGULAR 2"""
 BEYOND = [np.inf, 0.0, 0.0, 0.0]  # number and place of a point behind all others
 SIGHTS = np.dtype([("uv", "<2f8"), ("point", "<i8")])
 
@@ -74,7 +81,8 @@ class CalibratedView:
         image_name: as the model calls it.
         world_to_camera: rigid transform, (4, 4).
         lens: intrinsics and distortion at the size of the calibration.
-        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units; None if it sees none.
+        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world
+            units; None if it sees none.
         quaternion_length: of its rotation as the file has it, which is brought to 1.
     """
 
@@ -94,14 +102,21 @@ def rig_of_views(views: Mapping[str, CalibratedView]) -> list[RigCamera]:
     """Return the rig of named views.
 
     Reading:
-        near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points that a view sees. Points are for
-        depth ranges alone: a view that sees none has none, as a model of known poses before triangulation.
+        near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points
+        that a view sees. Points are for depth ranges alone: a view that sees none has none, as a
+        model of known poses before triangulation.
     """
     rig = []
     for name, view in views.items():
         percentiles = view.depth_percentiles
-        near_far = (NEAR_MARGIN * percentiles[0], FAR_MARGIN * percentiles[2]) if percentiles else None
-        rig.append(RigCamera(name, view.lens, view.world_to_camera, near_far))
+        near_far = (
+            (NEAR_MARGIN * percentiles[0], FAR_MARGIN * percentiles[2]) if percentiles else None
+        )
+        rig.append(
+            RigCamera(
+                name=name, lens=view.lens, world_to_camera=view.world_to_camera, near_far=near_far
+            )
+        )
     return rig
 
 
@@ -121,18 +136,29 @@ def read_model(folder: Path, suffix: str = "") -> list[CalibratedView]:
     try:
         images, points = (read_binary if suffix == ".bin" else read_text)(folder)
     except (OSError, ValueError, LookupError, ArithmeticError) as error:
-        reason = f"no {Path(error.filename).name}" if isinstance(error, FileNotFoundError) else str(error)
-        raise CaptureError(f"{folder}: damaged COLMAP model, {reason:.200}; copy or export the model again") from error
+        reason = (
+            f"no {Path(error.filename).name}"
+            if isinstance(error, FileNotFoundError)
+            else str(error)
+        )
+        raise CaptureError(
+            f"{folder}: damaged COLMAP model, {reason:.200}; copy or export the model again"
+        ) from error
     check_rig_size(folder, len(images))
     if not images:
-        raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got none; calibrate again")
+        raise CaptureError(
+            f"{folder}: wanted one registered image per fixed camera, got none; calibrate again"
+        )
     return [_view(folder, image, points) for image in sorted(images, key=lambda image: image.name)]
 
 
 def _view(folder: Path, image: ModelImage, points: Array) -> CalibratedView:
     length = float(np.linalg.norm(image.pose[:4]))
     if not 0 < length < np.inf:
-        raise CaptureError(f"{folder}: wanted a rotation of {image.name}, got a quaternion of length {length:g}; calibrate again")
+        raise CaptureError(
+            f"{folder}: wanted a rotation of {image.name}, got a quaternion of length {length:g}; "
+            f"calibrate again"
+        )
     w, *axis = image.pose[:4] / length
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -145,8 +171,16 @@ def _view(folder: Path, image: ModelImage, points: Array) -> CalibratedView:
     seen = points[at[points[at, 0] == image.points], 1:]
     depth = seen @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
-    percentiles = tuple(np.percentile(depth, PERCENTILES).tolist()) if len(depth) >= FEWEST_POINTS else None
-    return CalibratedView(image.name, world_to_camera, lens, percentiles, length)
+    percentiles = (
+        tuple(np.percentile(depth, PERCENTILES).tolist()) if len(depth) >= FEWEST_POINTS else None
+    )
+    return CalibratedView(
+        image_name=image.name,
+        world_to_camera=world_to_camera,
+        lens=lens,
+        depth_percentiles=percentiles,
+        quaternion_length=length,
+    )
 
 
 def lens_of_colmap(model: str, width: int, height: int, params: Sequence[float]) -> Lens:
@@ -160,16 +194,25 @@ def lens_of_colmap(model: str, width: int, height: int, params: Sequence[float])
         remedy = "undistort images and model by 'colmap image_undistorter' first"
         raise CameraError(f"wanted one of {', '.join(lenses)}, got {model}; {remedy}")
     if len(params) != len(lenses[model]) or not np.isfinite(params).all():
-        raise CameraError(f"wanted {len(lenses[model])} finite parameters of {model}, got {list(params)}")
+        raise CameraError(
+            f"wanted {len(lenses[model])} finite parameters of {model}, got {list(params)}"
+        )
     values = dict(zip(lenses[model], map(float, params), strict=True))
     kind: LensModel = "fisheye" if model.endswith("FISHEYE") else "opencv"
     keys = COEFFICIENTS["rational" if "k6" in values else kind].split()
     fx, fy = (values.get(key, values.get("f", 0.0)) for key in ("fx", "fy"))
-    return Lens(pinhole_K(fx, fy, values["cx"], values["cy"]), kind, tuple(values.get(key, 0.0) for key in keys), width, height)
+    return Lens(
+        K=pinhole_K(fx, fy, values["cx"], values["cy"]),
+        model=kind,
+        coefficients=tuple(values.get(key, 0.0) for key in keys),
+        width=width,
+        height=height,
+    )
 
 
 def read_binary(folder: Path) -> tuple[list[ModelImage], Array]:
-    """Return the images and the points of a model: a number and a place each, (P, 4), in the order of numbers.
+    """Return the images and the points of a model: a number and a place each, (P, 4), in the order
+    of numbers.
 
     Raises:
         ValueError: a file ends early or holds more than it says.
@@ -179,11 +222,23 @@ def read_binary(folder: Path) -> tuple[list[ModelImage], Array]:
     cameras = {}
     for file in _entries(folder / "cameras.bin"):
         number, model, width, height = file.take("IIQQ")
-        cameras[number] = ModelCamera(names[2 * model], width, height, file.take(f"{names[2 * model + 1]}d"))
+        cameras[number] = ModelCamera(
+            model=names[2 * model],
+            width=width,
+            height=height,
+            params=file.take(f"{names[2 * model + 1]}d"),
+        )
     images = []
     for file in _entries(folder / "images.bin"):
         _, *pose, camera = file.take("I7dI")
-        images.append(ModelImage(file.take_text(), np.array(pose), cameras[camera], file.take_points()))
+        images.append(
+            ModelImage(
+                name=file.take_text(),
+                pose=np.array(pose),
+                camera=cameras[camera],
+                points=file.take_points(),
+            )
+        )
     points = [BEYOND]
     cloud = folder / "points3D.bin"
     for file in _entries(cloud) if lexists(cloud) else ():
@@ -221,7 +276,9 @@ class _Content:
         return np.frombuffer(self.content, SIGHTS, count, start)["point"]
 
     def damaged(self) -> ValueError:
-        return ValueError(f"{self.name} is cut or damaged, its {len(self.content)} bytes do not fit its content")
+        return ValueError(
+            f"{self.name} is cut or damaged, its {len(self.content)} bytes do not fit its content"
+        )
 
 
 def _entries(file: Path) -> Iterator[_Content]:
@@ -237,15 +294,17 @@ def read_text(folder: Path) -> tuple[list[ModelImage], Array]:
     """Return the same of a text model.
 
     Reading:
-        The line after an image's is the points that it sees, unless it is the row of an image itself. A name is the rest of its
-        line.
+        The line after an image's is the points that it sees, unless it is the row of an image
+        itself. A name is the rest of its line.
     """
     cameras = {}
     for line, text in _lines(folder / "cameras.txt"):
         if text:
             number, model, *numbers = text.split()
             width, height, *params = _numbers(folder / "cameras.txt", line, numbers)
-            cameras[int(number)] = ModelCamera(model, int(width), int(height), tuple(params))
+            cameras[int(number)] = ModelCamera(
+                model=model, width=int(width), height=int(height), params=tuple(params)
+            )
     images: list[ModelImage] = []
     is_image = False
     for line, text in _lines(folder / "images.txt"):
@@ -256,8 +315,18 @@ def read_text(folder: Path) -> tuple[list[ModelImage], Array]:
         elif words:
             _, *pose, camera = _numbers(folder / "images.txt", line, words[:9])
             if len(words) < 10:
-                raise ValueError(f"images.txt, line {line}: wanted nine numbers and a name, got {len(words)} words")
-            images.append(ModelImage(words[9], np.array(pose), cameras[int(camera)], np.empty(0, np.int64)))
+                raise ValueError(
+                    f"images.txt, line {line}: wanted nine numbers and a name, got {len(words)} "
+                    f"words"
+                )
+            images.append(
+                ModelImage(
+                    name=words[9],
+                    pose=np.array(pose),
+                    camera=cameras[int(camera)],
+                    points=np.empty(0, np.int64),
+                )
+            )
             is_image = True
     points = [BEYOND]
     cloud = folder / "points3D.txt"
@@ -277,7 +346,11 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
 def _is_image(words: list[str]) -> bool:
     """Tell whether a row where points are expected is an image's: nine numbers and a name."""
     try:
-        return len(words) == 10 and bool([float(word) for word in words[:9]]) and not words[9].replace(" ", "")[:1].isdecimal()
+        return (
+            len(words) == 10
+            and bool([float(word) for word in words[:9]])
+            and not words[9].replace(" ", "")[:1].isdecimal()
+        )
     except ValueError:
         return False
 

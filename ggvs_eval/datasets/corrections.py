@@ -1,4 +1,5 @@
-"""``corrections.toml`` in a capture: cameras that are out of step or too bright, and the corrections of their frames.
+"""``corrections.toml`` in a capture: cameras that are out of step or too bright, and the
+corrections of their frames.
 
 `ggvs-eval check CAPTURE --repair` writes the file; every reader of the capture applies it.
 """
@@ -23,8 +24,10 @@ FILE = "corrections.toml"
 LARGEST_OFFSET = 100_000
 NO_GAIN = (1.0, 1.0, 1.0)
 HEAD = """\
-# Corrections that every command applies when it reads this capture; without this file frames stay unchanged.
-# offset_frames: frame t of the camera shows the instant t + offset_frames of the others; it is shifted back.
+# Corrections that every command applies when it reads this capture; without this file frames stay
+# unchanged.
+# offset_frames: frame t of the camera shows the instant t + offset_frames of the others; it is
+# shifted back.
 # gain: brightness of red, green and blue relative to the others; frames are divided by it.
 """
 
@@ -34,7 +37,8 @@ class Correction:
     """Corrections of one camera; one ``[[camera]]`` of the file.
 
     Attributes:
-        offset_frames: frame t of the camera shows the instant of the others' frame t + offset; positive for one that is ahead.
+        offset_frames: frame t of the camera shows the instant of the others' frame t + offset;
+            positive for one that is ahead.
         gain: factor on its sRGB values, red, green, blue.
     """
 
@@ -92,20 +96,34 @@ def read_corrections(file: Path) -> dict[str, Correction]:
     """
     if not file.exists():
         return {}
-    table = build_table(CorrectionsTable, read_toml(file, CaptureError), str(file), "", CaptureError)
+    table = build_table(
+        CorrectionsTable, read_toml(file, CaptureError), str(file), "", CaptureError
+    )
     for row in table.camera:
         if len(row.gain) != 3 or not all(0.01 <= value <= 100 for value in row.gain):
-            raise CaptureError(f"{file}: {row.name}: wanted a gain of red, green and blue, got {list(row.gain)}; correct it")
+            raise CaptureError(
+                f"{file}: {row.name}: wanted a gain of red, green and blue, got {list(row.gain)}; "
+                f"correct it"
+            )
         if abs(row.offset_frames) > LARGEST_OFFSET:
-            raise CaptureError(f"{file}: {row.name}: wanted an offset in frames, got {row.offset_frames}; correct it")
+            raise CaptureError(
+                f"{file}: {row.name}: wanted an offset in frames, got {row.offset_frames}; correct "
+                f"it"
+            )
     corrections = {row.name: row for row in table.camera}
     if len(corrections) < len(table.camera):
-        raise CaptureError(f"{file}: wanted each camera once, got {', '.join(row.name for row in table.camera)}; keep one")
+        raise CaptureError(
+            f"{file}: wanted each camera once, got {', '.join(row.name for row in table.camera)}; "
+            f"keep one"
+        )
     return corrections
 
 
 def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None:
-    """Write corrections so that `read_corrections` reads them back; cameras that need none are left out."""
+    """Write corrections so that `read_corrections` reads them back.
+
+    Cameras that need none are left out.
+    """
     lines = [HEAD]
     for name, correction in sorted(corrections.items()):
         if correction == Correction(name):
@@ -113,36 +131,51 @@ def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None
         quoted = name.replace("\\", "\\\\").replace('"', '\\"')
         lines += ["[[camera]]", f'name = "{quoted}"']
         lines += [f"offset_frames = {correction.offset_frames}"] if correction.offset_frames else []
-        lines += [f"gain = [{', '.join(map(repr, correction.gain))}]"] if correction.gain != NO_GAIN else []
+        lines += (
+            [f"gain = [{', '.join(map(repr, correction.gain))}]"]
+            if correction.gain != NO_GAIN
+            else []
+        )
         lines.append("")
     with atomic_file(file) as unfinished:
         unfinished.write_text("\n".join(lines), encoding="utf-8")
 
 
-def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], file: Path) -> Capture:
+def apply_corrections(
+    capture: Capture, corrections: Mapping[str, Correction], file: Path
+) -> Capture:
     """Return the capture with its cameras in step and of one brightness; a note says what was done.
 
     Raises:
         CaptureError: a camera that the capture does not have, or offsets that leave no instant.
 
     Reading:
-        Instants that not all cameras saw are dropped at both ends. Values are divided as they are stored, in sRGB, and rounded
-        to 8 bit; what was clipped stays so. Truth is corrected like everything else, or one camera's gain would be every
-        method's error. Masks and measured depth are shifted, backgrounds divided.
+        Instants that not all cameras saw are dropped at both ends. Values are divided as they are
+        stored, in sRGB, and rounded to 8 bit; what was clipped stays so. Truth is corrected like
+        everything else, or one camera's gain would be every method's error. Masks and measured
+        depth are shifted, backgrounds divided.
     """
     if not corrections:
         return capture
     unknown = [name for name in corrections if name not in capture.camera_names]
     if unknown:
         names = ", ".join(capture.camera_names)
-        raise CaptureError(f"{file}: wanted cameras of the capture, got {', '.join(unknown)}; there are {names}")
+        raise CaptureError(
+            f"{file}: wanted cameras of the capture, got {', '.join(unknown)}; there are {names}"
+        )
     per_camera = [corrections.get(name, Correction(name)) for name in capture.camera_names]
     latest = max(correction.offset_frames for correction in per_camera)
-    n_frames = capture.n_frames - latest + min(correction.offset_frames for correction in per_camera)
+    n_frames = (
+        capture.n_frames - latest + min(correction.offset_frames for correction in per_camera)
+    )
     if n_frames < 1:
-        raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
+        raise CaptureError(
+            f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; "
+            f"correct them"
+        )
     instants = [
-        tuple(range(start, start + n_frames)) for start in (latest - correction.offset_frames for correction in per_camera)
+        tuple(range(start, start + n_frames))
+        for start in (latest - correction.offset_frames for correction in per_camera)
     ]
     sources = [
         _corrected(picked(source, frames), correction.gain)
@@ -185,7 +218,10 @@ def describe_corrections(corrections: Mapping[str, Correction]) -> str:
 def _describe(correction: Correction) -> str:
     offset, parts = correction.offset_frames, []
     if offset:
-        parts.append(f"{abs(offset)} frame{'s' * (abs(offset) > 1)} {'ahead' if offset > 0 else 'behind'}, shifted")
+        parts.append(
+            f"{abs(offset)} frame{'s' * (abs(offset) > 1)} {'ahead' if offset > 0 else 'behind'}, "
+            f"shifted"
+        )
     if correction.gain != NO_GAIN:
         parts.append(f"divided by {' '.join(f'{value:.3f}' for value in correction.gain)}")
     return f"{correction.name} {' and '.join(parts) or 'as it is'}"

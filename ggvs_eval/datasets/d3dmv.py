@@ -1,4 +1,6 @@
-"""D3DMV captures (Deep 3D Mask Volume): one HDF5 file per scene with its LLFF poses, or frame folders with backgrounds."""
+"""D3DMV captures (Deep 3D Mask Volume): one HDF5 file per scene with its LLFF poses, or frame
+folders with backgrounds.
+"""
 
 from pathlib import Path
 
@@ -26,7 +28,11 @@ def refuse(path: Path) -> str | None:
         return f"no SCENE.h5, no {POSES}"
     parents = ("", "frames/") if (path / BACKGROUND).is_dir() else ("",)
     is_filmed = members(path, [f"{parent}CAM/" for parent in parents], r"cam\d+")
-    return None if is_filmed else f"{POSES}, but neither frames/camXX/ with {BACKGROUND}/ nor camXX/*.jpg"
+    return (
+        None
+        if is_filmed
+        else f"{POSES}, but neither frames/camXX/ with {BACKGROUND}/ nor camXX/*.jpg"
+    )
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -36,28 +42,36 @@ def load(path: Path, units: GivenUnits) -> Capture:
         path: ``SCENE.h5``, a folder that holds exactly one, or the folder of a scene's frames.
 
     Raises:
-        CaptureError: several scenes, poses and cameras that do not match, or a file that is damaged or no such file at all.
+        CaptureError: several scenes, poses and cameras that do not match, or a file that is damaged
+            or no such file at all.
 
     Reading:
-        Poses are made for the images before compression; the intrinsics are scaled to the frames' size. The depth range is the
-        pose file's, per camera; the authors' own 0.9 x the smallest and 2 x the largest is a choice of their renderer. Every 4th
-        frame of the videos was kept at a rate that is nowhere stated; frames play at the rate of image folders.
+        Poses are made for the images before compression; the intrinsics are scaled to the frames'
+        size. The depth range is the pose file's, per camera; the authors' own 0.9 x the smallest
+        and 2 x the largest is a choice of their renderer. Every 4th frame of the videos was kept at
+        a rate that is nowhere stated; frames play at the rate of image folders.
     """
     files = _h5_files(path)
     if len(files) > 1:
         names = listed(file.name for file in files)
-        raise CaptureError(f"{path}: wanted one scene, got {len(files)} ({names}); name one of these files")
+        raise CaptureError(
+            f"{path}: wanted one scene, got {len(files)} ({names}); name one of these files"
+        )
     return _load_compressed(path, files[0], units) if files else load_dynerf(path, units, "d3dmv")
 
 
 def _load_compressed(path: Path, file: Path, units: GivenUnits) -> Capture:
     parts = h5_parts(file)
-    cameras = posed_cameras(_pose_file(file), [f"cam{index:02d}" for index in range(len(parts["rgb"]))])
+    cameras = posed_cameras(
+        _pose_file(file), [f"cam{index:02d}" for index in range(len(parts["rgb"]))]
+    )
     none = [None] * len(cameras)
     backgrounds, masks = parts.get("bg_rgb", none), parts.get("fg_rgb", none)
     extras = [Extras(background, mask) for background, mask in zip(backgrounds, masks, strict=True)]
     scale = choose_units(file.parent, units, cameras)
-    return assemble_capture(path, "d3dmv", cameras, parts["rgb"], scale, scene=file.stem, extras=extras)
+    return assemble_capture(
+        path, "d3dmv", cameras, parts["rgb"], scale, scene=file.stem, extras=extras
+    )
 
 
 def _h5_files(path: Path) -> list[Path]:

@@ -1,4 +1,6 @@
-"""Entries of calibration files: the one list of those that say where a pixel looks, and numbers of strangers."""
+"""Entries of calibration files: the one list of those that say where a pixel looks, and numbers of
+strangers.
+"""
 
 import re
 from collections.abc import Collection, Mapping
@@ -10,7 +12,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
 
-# What says where a pixel looks: lens models, fields of view, projections, turned axes. Such an entry is read or refused.
+# What says where a pixel looks: lens models, fields of view, projections, turned axes. Such an
+# entry is read or refused.
 VIEW_ENTRY = re.compile(
     r"^(xi|alpha|beta|gamma|mu|omega|skew|[kps][1-9])$|lens|distort|dist_|omni|polynomial|coeff"
     r"|fov|theta|lat_?long|equirect|panoram|spheric|ortho|projection|fisheye|camera_(model|type)|^from_",
@@ -19,7 +22,9 @@ VIEW_ENTRY = re.compile(
 SAID = re.compile(r"[1-9]|\btrue\b|equirect|panoram|spheric|fisheye|ortho|omni", re.I)
 
 
-def unknown_entries(path: Path, entries: Mapping[str, Any], known_keys: Collection[str]) -> list[str]:
+def unknown_entries(
+    path: Path, entries: Mapping[str, Any], known_keys: Collection[str]
+) -> list[str]:
     """The entries of a file that its reader skips.
 
     Raises:
@@ -31,8 +36,8 @@ def unknown_entries(path: Path, entries: Mapping[str, Any], known_keys: Collecti
         if VIEW_ENTRY.search(key) and SAID.search(value):
             why = "it is cv::omnidir's model; " if key == "xi" else ""
             raise CaptureError(
-                f"{path}: {key}: {value:.40} belongs to the lens and is not read; {why}undistort the frames with it first, or "
-                "write the lens in OpenCV's entries"
+                f"{path}: {key}: {value:.40} belongs to the lens and is not read; {why}undistort "
+                "the frames with it first, or write the lens in OpenCV's entries"
             )
     return unknown
 

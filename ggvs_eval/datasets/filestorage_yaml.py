@@ -1,7 +1,8 @@
 """The part of OpenCV's YAML and XML that camera files are written in, read without OpenCV.
 
-cv2.FileStorage ends the process on some damaged files: deep nesting overflows its stack, and about one mutation in a thousand
-makes it abort. Nothing here recurses, follows an anchor or allocates by what a file claims.
+cv2.FileStorage ends the process on some damaged files: deep nesting overflows its stack, and about
+one mutation in a thousand makes it abort. Nothing here recurses, follows an anchor or allocates by
+what a file claims.
 """
 
 import re
@@ -20,7 +21,8 @@ ELEMENT_TYPES = "ucwsifdhlLIbB"
 ENTRY = re.compile(r"""(["']?)([^\s"'\[\]{}#%:-][^\s"'\[\]{}:]*)\1[ \t]*:(?:[ \t]+(.*))?""")
 FIELD = re.compile(r"(rows|cols|dt|data)[ \t]*:[ \t]*(\[[^\[\]]*\]|[^\s\[\]]+)")
 
-# A nested list of numbers, as OpenCV writes vectors and PyYAML writes arrays, in brackets or with one number a line.
+# A nested list of numbers, as OpenCV writes vectors and PyYAML writes arrays, in brackets or with
+# one number a line.
 PLAIN_NUMBER = re.compile(r"[-+.]*\d[-+.\deE]*")
 PLAIN_NUMBERS = re.compile(rf"(?:[\s\[\],]|-(?=[ \t\n])|{PLAIN_NUMBER.pattern}(?=[\s\],]|$))+")
 
@@ -44,7 +46,10 @@ class FileStorageYaml:
         elif is_plain and lines and not lines[0].startswith("%"):
             self._split(lines)
         else:
-            raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
+            raise self._refused(
+                "OpenCV YAML, which begins with %YAML:1.0",
+                repr(lines[0][:40]) if lines else "no line",
+            )
 
     def texts(self, key: str) -> list[str]:
         """Return a sequence of texts; empty if it is absent or something else."""
@@ -53,7 +58,9 @@ class FileStorageYaml:
             items = value[1:-1].split(",")
         else:
             lines = [line.strip() for line in value.splitlines()]
-            items = [line[1:] for line in lines] if all(line.startswith("- ") for line in lines) else []
+            items = (
+                [line[1:] for line in lines] if all(line.startswith("- ") for line in lines) else []
+            )
         return [_unquoted(item) for item in items]
 
     def has(self, key: str) -> bool:
@@ -70,11 +77,17 @@ class FileStorageYaml:
             return None
         value = _number(self.entries[key])
         if not 0 < value < 1e9:
-            raise self._refused(f"a positive number {key}", f"{self.entries[key] or 'nothing'}{comma_hint(self.entries[key])}")
+            raise self._refused(
+                f"a positive number {key}",
+                f"{self.entries[key] or 'nothing'}{comma_hint(self.entries[key])}",
+            )
         return value
 
     def matrix(self, key: str, shape: tuple[int, int] | None) -> Array:
-        """Return a matrix of finite numbers of this shape or its transpose; of any shape if None."""
+        """Return a matrix of finite numbers of this shape or its transpose.
+
+        Of any shape if None.
+        """
         if not self.has(key):
             raise self._refused(f"an entry {key}", "none")
         if PLAIN_NUMBERS.fullmatch(self.entries[key]):
@@ -88,18 +101,30 @@ class FileStorageYaml:
             raise self._refused(f"{shape[0]} x {shape[1]} numbers in {key}", f"{rows} x {columns}")
         matrix = np.array([_number(item) for item in items])
         if not np.isfinite(matrix).all():
-            raise self._refused(f"finite numbers in {key}", items[int(np.flatnonzero(~np.isfinite(matrix))[0])])
+            raise self._refused(
+                f"finite numbers in {key}", items[int(np.flatnonzero(~np.isfinite(matrix))[0])]
+            )
         return matrix.reshape(shape or (rows, columns))
 
     def _fields(self, key: str) -> tuple[int, int, list[str]]:
         """Return rows, columns and the numbers of a matrix, as texts."""
         value = self.entries[key]
         fields = dict(FIELD.findall(value))
-        is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith("rows")
-        if not is_matrix or not {"rows", "cols", "data"} <= fields.keys() or not fields["data"].startswith("["):
-            raise self._refused(f"!!opencv-matrix with rows, cols, dt and data in {key}", value or "nothing")
+        is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith(
+            "rows"
+        )
+        if (
+            not is_matrix
+            or not {"rows", "cols", "data"} <= fields.keys()
+            or not fields["data"].startswith("[")
+        ):
+            raise self._refused(
+                f"!!opencv-matrix with rows, cols, dt and data in {key}", value or "nothing"
+            )
         if _unquoted(fields.get("dt", "d")) not in ELEMENT_TYPES:
-            raise self._refused(f"one number per element in {key}, such as dt: d", f"dt: {fields['dt']}")
+            raise self._refused(
+                f"one number per element in {key}, such as dt: d", f"dt: {fields['dt']}"
+            )
         size = f"{fields['rows']} x {fields['cols']}"
         if not fields["rows"].isdecimal() or not fields["cols"].isdecimal() or len(size) > 12:
             raise self._refused(f"rows and cols of {key}", size)
@@ -107,7 +132,10 @@ class FileStorageYaml:
         return int(fields["rows"]), int(fields["cols"]), [item for item in items if item.strip()]
 
     def _split(self, lines: list[str]) -> None:
-        """Cut the file at the lines that begin a key; what is indented, or continues with a list, belongs to the key before."""
+        """Cut the file at the lines that begin a key.
+
+        What is indented, or continues with a list, belongs to the key before.
+        """
         bodies: dict[str, list[str]] = {}
         body: list[str] | None = None
         for line in lines:
@@ -131,7 +159,9 @@ class FileStorageYaml:
             parts = {part.tag: " ".join((part.text or "").split()) for part in element}
             if element.get("type_id") == "opencv-matrix":
                 data = ", ".join(parts.get("data", "").split())
-                shape = "".join(f"{key}: {parts[key]}\n" for key in ("rows", "cols", "dt") if parts.get(key))
+                shape = "".join(
+                    f"{key}: {parts[key]}\n" for key in ("rows", "cols", "dt") if parts.get(key)
+                )
                 self.entries[element.tag] = f"!!opencv-matrix\n{shape}data: [{data}]"
             elif words.count('"') > 2 or "_" in parts:  # a sequence of texts
                 items = re.findall(r'"([^"]*)"', words) or [part.text or "" for part in element]
@@ -155,7 +185,10 @@ def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:
 
 def refused(path: Path, form: str, content: str) -> CaptureError:
     """Return the error of a camera file that holds something else than was wanted."""
-    return CaptureError(f"{path}: wanted {form}, got {' '.join(content.split())[:160]}; restore or export the file again")
+    return CaptureError(
+        f"{path}: wanted {form}, got {' '.join(content.split())[:160]}; restore or export the file "
+        f"again"
+    )
 
 
 def _number(text: str) -> float:
@@ -166,7 +199,11 @@ def _number(text: str) -> float:
 
 def _unquoted(text: str) -> str:
     stripped = text.strip()
-    return stripped[1:-1] if len(stripped) > 1 and stripped[0] in "\"'" and stripped[-1] == stripped[0] else stripped
+    return (
+        stripped[1:-1]
+        if len(stripped) > 1 and stripped[0] in "\"'" and stripped[-1] == stripped[0]
+        else stripped
+    )
 
 
 def read_camera_text(path: Path, form: str = "a camera file") -> str:
@@ -176,7 +213,9 @@ def read_camera_text(path: Path, form: str = "a camera file") -> str:
     except OSError as error:
         raise CaptureError(f"{path}: wanted {form}, got {why_unread(error)}; restore it") from error
     except UnicodeDecodeError as error:
-        raise CaptureError(f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it") from error
+        raise CaptureError(
+            f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it"
+        ) from error
     if not text:
         raise CaptureError(f"{path}: wanted {form}, got an empty one; restore it")
     return text

@@ -1,4 +1,6 @@
-"""Calibrations that no reader supports: of known programs by ``file_marks.toml``, of others by the numbers that they hold."""
+"""Calibrations that no reader supports: of known programs by ``file_marks.toml``, of others by the
+numbers that they hold.
+"""
 
 import re
 import tomllib
@@ -38,7 +40,9 @@ PICKLE_TIMEOUT_S = 10
 
 @cache
 def file_marks() -> list[dict[str, str]]:
-    """Return the rows of the table, in the order in which they are looked for: pattern, content, name and advice."""
+    """Return the rows of the table, in the order in which they are looked for: pattern, content,
+    name and advice.
+    """
     text = (resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8")
     rows: list[dict[str, str]] = tomllib.loads(text)["mark"]
     return rows
@@ -55,27 +59,54 @@ def find_marked(path: Path) -> tuple[Path, str, str] | None:
 
 
 def find_cameras(path: Path) -> dict[Path, str]:
-    """Return the files up to four levels below a folder that hold cameras, with what they hold; names say nothing."""
+    """Return the files up to four levels below a folder that hold cameras, with what they hold.
+
+    Names say nothing.
+    """
     folders = [list_entries(path)]
     for entries in folders:
         if entries and len(entries[0].relative_to(path).parts) <= DEEPEST:
-            folders += [inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))]
-    files = [file for folder in folders for file in folder[:MOST_FILES] if file.is_file() and not is_own(file)]
+            folders += [
+                inner for entry in entries if entry.is_dir() and (inner := list_entries(entry))
+            ]
+    files = [
+        file
+        for folder in folders
+        for file in folder[:MOST_FILES]
+        if file.is_file() and not is_own(file)
+    ]
     contents = {
-        file: held_cameras(_content(file)) for file in files if file.suffix.lower() not in MEDIA and not TEXTS.search(file.name)
+        file: held_cameras(_content(file))
+        for file in files
+        if file.suffix.lower() not in MEDIA and not TEXTS.search(file.name)
     }
     return {file: content for file, content in contents.items() if content}
 
 
 def find_cameras_above(path: Path) -> list[str]:
-    """Return folders of calibrations next to a folder or the one that holds it, as they are named from there."""
-    places = {f"{up}/{entry.name}/": entry for up in ("..", "../..") for entry in list_entries(path.resolve() / up)}
-    named = {name: place for name, place in places.items() if CALIBRATIONS.search(name) and place.is_dir()}
-    return [name for name, place in named.items() if not list_files_below(place, MEDIA) and find_cameras(place)]
+    """Return folders of calibrations next to a folder or the one that holds it, as they are named
+    from there.
+    """
+    places = {
+        f"{up}/{entry.name}/": entry
+        for up in ("..", "../..")
+        for entry in list_entries(path.resolve() / up)
+    }
+    named = {
+        name: place
+        for name, place in places.items()
+        if CALIBRATIONS.search(name) and place.is_dir()
+    }
+    return [
+        name
+        for name, place in named.items()
+        if not list_files_below(place, MEDIA) and find_cameras(place)
+    ]
 
 
 def held_cameras(text: str) -> str:
-    r"""State what of cameras a text holds: an intrinsic matrix, rotations, or entries of such names; empty if nothing.
+    r"""State what of cameras a text holds: an intrinsic matrix, rotations, or entries of such
+    names; empty if nothing.
 
     Examples:
         >>> held_cameras("86.9 0 79.5\n0 86.9 59.5\n0 0 1")
@@ -85,9 +116,14 @@ def held_cameras(text: str) -> str:
     """
     numbers = np.array(NUMBER.findall(text)[:MOST_NUMBERS], np.float64)
     padded = np.concatenate([numbers, np.full(12, np.nan)])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 12)  # (N, 12), rows of three or four numbers
+    # (N, 12), rows of three or four numbers
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 12)
     square = windows[:, :9]
-    if ((square[:, K_ZEROS] == 0) & (square[:, K_POSITIVE] > 0) & (square[:, 8:] == 1)).all(1).any():
+    if (
+        ((square[:, K_ZEROS] == 0) & (square[:, K_POSITIVE] > 0) & (square[:, 8:] == 1))
+        .all(1)
+        .any()
+    ):
         return "an intrinsic matrix"
     for nine in (square, windows[:, WITH_TRANSLATION]):
         matrices = nine.reshape(-1, 3, 3)
@@ -95,15 +131,20 @@ def held_cameras(text: str) -> str:
         is_varied = (~np.isin(np.abs(nine), (0, 1))).sum(1) >= LEAST_VARIED
         if (is_varied & (off < ROUNDED)).any():
             return "rotations"
-    projections = windows.reshape(-1, 3, 4)[:, :, :3]  # K R of a matrix K [R t]: its last row is one of R
+    # K R of a matrix K [R t]: its last row is one of R
+    projections = windows.reshape(-1, 3, 4)[:, :, :3]
     across = np.cross(projections[:, :2], projections[:, 2:])
     focal_px = np.linalg.norm(across, axis=2)
-    is_scaled = (np.abs(np.linalg.norm(projections[:, 2], axis=1) - 1) < ROUNDED) & (focal_px > LEAST_FOCAL_PX).all(1)
+    is_scaled = (np.abs(np.linalg.norm(projections[:, 2], axis=1) - 1) < ROUNDED) & (
+        focal_px > LEAST_FOCAL_PX
+    ).all(1)
     skew = np.abs((across[:, 0] * across[:, 1]).sum(1)) / focal_px.prod(1).clip(1)
     if (is_scaled & (skew < ROUNDED)).any():
         return "projection matrices"
     fours = windows[:, :4]
-    is_unit = (np.abs(np.linalg.norm(fours, axis=1) - 1) < UNIT) & ((np.abs(fours) > UNIT).sum(1) >= LEAST_VARIED - 1)
+    is_unit = (np.abs(np.linalg.norm(fours, axis=1) - 1) < UNIT) & (
+        (np.abs(fours) > UNIT).sum(1) >= LEAST_VARIED - 1
+    )
     if is_unit.sum() > max(1, LEAST_QUATERNIONS * len(numbers)):
         return "rotations as quaternions"
     entry = ENTRY.search(text)

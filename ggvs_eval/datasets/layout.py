@@ -16,8 +16,8 @@ class DatasetSpec:
         describe: the layout in one line, for help texts.
         refuse: says why a path is not of this layout, None if it is.
         load: opens a path of this layout; the second argument is what the user knows of its units.
-        marks: patterns of names by which a folder shows that it is meant to be of this layout; what they name is never noted as
-            unused.
+        marks: patterns of names by which a folder shows that it is meant to be of this layout; what
+            they name is never noted as unused.
     """
 
     describe: str

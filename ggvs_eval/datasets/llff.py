@@ -1,7 +1,8 @@
-"""LLFF pose files (``poses_bounds.npy``), N x 17 numbers in LLFF's axes, and captures that are calibrated by one.
+"""LLFF pose files (``poses_bounds.npy``), N x 17 numbers in LLFF's axes, and captures that are
+calibrated by one.
 
-DyNeRF / Neural 3D Video: ``camXX.mp4``, and the frame folders other code makes of them. MeetRoom (StreamRF, Li et al., NeurIPS
-2022): ``cam_<N>.mp4``, or a folder per instant.
+DyNeRF / Neural 3D Video: ``camXX.mp4``, and the frame folders other code makes of them. MeetRoom
+(StreamRF, Li et al., NeurIPS 2022): ``cam_<N>.mp4``, or a folder per instant.
 """
 
 import re
@@ -56,8 +57,9 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
     """Read a pose file.
 
     Args:
-        path: ``poses_bounds.npy``. A row holds a 3 x 5 matrix [r0 r1 r2 | t | hwf] with the camera's axes in the world in the
-            order down, right, backwards, its centre t, and then near and far.
+        path: ``poses_bounds.npy``. A row holds a 3 x 5 matrix [r0 r1 r2 | t | hwf] with the
+            camera's axes in the world in the order down, right, backwards, its centre t, and then
+            near and far.
 
     Raises:
         CaptureError: absent, no plain array of numbers, not N x 17, or a row that is not finite.
@@ -67,37 +69,68 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
     spoilt = np.flatnonzero(~(np.abs(rows) < LARGEST_NUMBER).all(axis=1))
     if spoilt.size:
         numbers = ", ".join(map(str, spoilt))
-        raise CaptureError(f"{path}: wanted finite numbers, got NaN or infinity in row {numbers} (from 0); calibrate again")
+        raise CaptureError(
+            f"{path}: wanted finite numbers, got NaN or infinity in row {numbers} (from 0); "
+            f"calibrate again"
+        )
     return [_from_row(row) for row in rows]
 
 
 def write_llff_poses(path: Path, poses: Sequence[LlffPose]) -> None:
-    """Write a pose file that `read_llff_poses` reads back; it appears under its name when it is whole."""
+    """Write a pose file that `read_llff_poses` reads back.
+
+    It appears under its name when it is whole.
+    """
     rows = np.stack([_to_row(pose) for pose in poses])  # (N, 17)
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         np.save(file, rows)
 
 
 def llff_pose(camera: Camera) -> LlffPose:
-    """Return the row of a camera; its principal point is taken to be the image centre and its focal length the mean of both."""
-    return LlffPose(camera.world_to_camera, (camera.height, camera.width, camera.focal_px), camera.near, camera.far)
+    """Return the row of a camera.
+
+    Its principal point is taken to be the image centre and its focal length the mean of both.
+    """
+    return LlffPose(
+        world_to_camera=camera.world_to_camera,
+        hwf=(camera.height, camera.width, camera.focal_px),
+        near=camera.near,
+        far=camera.far,
+    )
 
 
 def llff_camera(pose: LlffPose, name: str, path: Path) -> Camera:
-    """Return the camera of a row, at the size the poses were made for; `path` is the file named in errors."""
+    """Return the camera of a row, at the size the poses were made for.
+
+    `path` is the file named in errors.
+    """
     height, width, focal_px = pose.hwf
     try:
         K = pinhole_K(focal_px, focal_px, width / 2, height / 2)
-        return Camera(name, K, pose.world_to_camera, round(width), round(height), pose.near, pose.far)
+        return Camera(
+            name=name,
+            K=K,
+            world_to_camera=pose.world_to_camera,
+            width=round(width),
+            height=round(height),
+            near=pose.near,
+            far=pose.far,
+        )
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
 
 
 def _from_row(row: Array) -> LlffPose:
     down, right, backwards, centre, hwf = row[:15].reshape(3, 5).T
-    rotation = np.stack([right, down, -backwards])  # (3, 3), rows are the camera's axes in the world
+    # (3, 3), rows are the camera's axes in the world
+    rotation = np.stack([right, down, -backwards])
     height, width, focal_px, near, far = map(float, (*hwf, *row[15:]))
-    return LlffPose(rigid(rotation, transformed(-rotation, centre)), (height, width, focal_px), near, far)
+    return LlffPose(
+        world_to_camera=rigid(rotation, transformed(-rotation, centre)),
+        hwf=(height, width, focal_px),
+        near=near,
+        far=far,
+    )
 
 
 def _to_row(pose: LlffPose) -> Array:
@@ -107,10 +140,23 @@ def _to_row(pose: LlffPose) -> Array:
     return np.concatenate([matrix.ravel(), [pose.near, pose.far]])
 
 
-PLACES = ("CAM.mp4", "CAM/images/", "frames/CAM/", "frames_2/CAM/", "frames_4/CAM/", "frames_8/CAM/", "images/CAM/", "CAM/")
+PLACES = (
+    "CAM.mp4",
+    "CAM/images/",
+    "frames/CAM/",
+    "frames_2/CAM/",
+    "frames_4/CAM/",
+    "frames_8/CAM/",
+    "images/CAM/",
+    "CAM/",
+)
 BACKGROUND = "background"
-STILLS = ("images/CAM.png", "images_4/CAM.png", "images_8/CAM.png")  # one picture per camera, as LLFF has them
-ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of stills, images/NAME.jpg"
+# one picture per camera, as LLFF has them
+STILLS = ("images/CAM.png", "images_4/CAM.png", "images_8/CAM.png")
+ARRANGEMENTS = (
+    "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of "
+    "stills, images/NAME.jpg"
+)
 
 
 def refuse_dynerf(path: Path) -> str | None:
@@ -124,29 +170,47 @@ def refuse_dynerf(path: Path) -> str | None:
 
 
 def load_dynerf(path: Path, units: GivenUnits, layout: str = "dynerf") -> Capture:
-    """Open a DyNeRF capture with any number of cameras, with its backgrounds where it has them (D3DMV).
+    """Open a DyNeRF capture with any number of cameras, with its backgrounds where it has them
+    (D3DMV).
 
     Reading:
-        Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
-        length, principal point in the image centre, both scaled from the size in the file to the size of the frames. Pictures in
-        ``images/`` alone are LLFF's: one instant, one camera each.
+        Row i belongs to the i-th camera in the order of names, never to the number in a name
+        (numbers may be missing). One focal length, principal point in the image centre, both scaled
+        from the size in the file to the size of the frames. Pictures in ``images/`` alone are
+        LLFF's: one instant, one camera each.
     """
     sources = _find_sources(path)
     cameras = posed_cameras(path / POSES, list(sources))
-    stills = all(isinstance(source, ImageFrames) and source.path.is_file() for source in sources.values())
+    stills = all(
+        isinstance(source, ImageFrames) and source.path.is_file() for source in sources.values()
+    )
     if stills and (marked := find_marked(path)):
         raise CaptureError(f"{path}: {marked[0].relative_to(path)} is {marked[1]}; {marked[2]}")
-    notes = [f"the pictures beside {POSES} are taken as one instant of {len(sources)} cameras"] if stills else []
+    notes = (
+        [f"the pictures beside {POSES} are taken as one instant of {len(sources)} cameras"]
+        if stills
+        else []
+    )
     extras = []
     if layout == "d3dmv" and (path / BACKGROUND).is_dir():
         pictures = backgrounds(path / BACKGROUND, sources)
         extras = [Extras(background=pictures[name]) for name in sources]
     frames = list(sources.values())
-    return assemble_capture(path, layout, cameras, frames, choose_units(path, units, cameras), extras=extras, notes=notes)
+    return assemble_capture(
+        path,
+        layout,
+        cameras,
+        frames,
+        choose_units(path, units, cameras),
+        extras=extras,
+        notes=notes,
+    )
 
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:
-    """Return the frames of each camera in the order of names, by the first arrangement that is there."""
+    """Return the frames of each camera in the order of names, by the first arrangement that is
+    there.
+    """
     return {**(members(path, PLACES, CAMERA_NAME) or members(path, STILLS, ".*"))}
 
 
@@ -154,22 +218,24 @@ def posed_cameras(file: Path, names: Sequence[str]) -> list[Camera]:
     """Return the cameras of a pose file, whose rows are in the order of these names.
 
     Raises:
-        CaptureError: numbers in names without leading zeros, which have no safe order, or another number of rows.
+        CaptureError: numbers in names without leading zeros, which have no safe order, or another
+            number of rows.
     """
     check_rig_size(file, len(names))
     lengths = {len(name): name for name in names if re.fullmatch(CAMERA_NAME, name)}
     if len(lengths) > 1:
         mismatch = f"{lengths[min(lengths)]} and {lengths[max(lengths)]}"
         raise CaptureError(
-            f"{file}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of rows (loaders "
-            "of LLFF and Neural 3D Video sort names as text, cam10 before cam9)"
+            f"{file}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in "
+            "the order of rows (loaders of LLFF and Neural 3D Video sort names as text, cam10 "
+            "before cam9)"
         )
     poses = read_llff_poses(file)
     if len(poses) != len(names):
         remedy = f"restore the missing {'cameras' if len(poses) > len(names) else 'rows'}"
         raise CaptureError(
-            f"{file}: wanted one row for each of the {len(names)} cameras on disk ({listed(names)}), got {len(poses)} rows; "
-            f"{unread_videos(file.parent) or remedy}"
+            f"{file}: wanted one row for each of the {len(names)} cameras on disk "
+            f"({listed(names)}), got {len(poses)} rows; {unread_videos(file.parent) or remedy}"
         )
     return [llff_camera(pose, name, file) for pose, name in zip(poses, names, strict=True)]
 
@@ -181,7 +247,8 @@ class CameraPath:
     Attributes:
         cameras: one pose per image, called ``path0000``, ...
         images: the true images; None if only the poses are known.
-        time_s: the instant of the capture that they show, as ``demo.json`` says; the first where it says nothing.
+        time_s: the instant of the capture that they show, as ``demo.json`` says; the first where it
+            says nothing.
     """
 
     cameras: tuple[Camera, ...]
@@ -190,23 +257,36 @@ class CameraPath:
 
 
 def open_path(capture_folder: Path) -> CameraPath | None:
-    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None if it carries no path."""
+    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder.
+
+    None if it carries no path.
+    """
     poses_file = capture_folder / "path" / POSES
     if not poses_file.is_file():
         return None
     poses = read_llff_poses(poses_file)
-    cameras = tuple(llff_camera(pose, f"path{index:04d}", poses_file) for index, pose in enumerate(poses))
+    cameras = tuple(
+        llff_camera(pose, f"path{index:04d}", poses_file) for index, pose in enumerate(poses)
+    )
     time_s = read_note(capture_folder, "path_time_s") or 0.0
     folder = capture_folder / "path" / "images"
     if not folder.is_dir():
         return CameraPath(cameras, None, time_s)
     images = ImageFrames(folder)
     if images.n_frames != len(cameras):
-        raise CaptureError(f"{folder}: wanted {len(cameras)} images, one per row of {poses_file.name}, got {images.n_frames}")
+        raise CaptureError(
+            f"{folder}: wanted {len(cameras)} images, one per row of {poses_file.name}, got "
+            f"{images.n_frames}"
+        )
     return CameraPath(tuple(camera.resized(*images.size) for camera in cameras), images, time_s)
 
 
-DYNERF_LAYOUT = DatasetSpec(f"poses_bounds.npy with {ARRANGEMENTS}", refuse_dynerf, load_dynerf, (POSES,))
+DYNERF_LAYOUT = DatasetSpec(
+    describe=f"poses_bounds.npy with {ARRANGEMENTS}",
+    refuse=refuse_dynerf,
+    load=load_dynerf,
+    marks=(POSES,),
+)
 
 
 def refuse_meetroom(path: Path) -> str | None:
@@ -218,15 +298,19 @@ def refuse_meetroom(path: Path) -> str | None:
 
 
 def load_meetroom(path: Path, units: GivenUnits) -> Capture:
-    """Open a capture in StreamRF's arrangement; its cameras are called cam00, cam01, ... by their numbers.
+    """Open a capture in StreamRF's arrangement; its cameras are called cam00, cam01, ...
+
+    By their numbers.
 
     Args:
-        path: folder with ``poses_bounds.npy`` and ``cam_<N>.mp4``; or what StreamRF extracts of these, a folder per instant with
-            ``images/camNN.png`` and the same ``poses_bounds.npy``, in ``frames/`` or in the folder itself.
+        path: folder with ``poses_bounds.npy`` and ``cam_<N>.mp4``; or what StreamRF extracts of
+            these, a folder per instant with ``images/camNN.png`` and the same ``poses_bounds.npy``,
+            in ``frames/`` or in the folder itself.
 
     Reading:
-        Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02 before it sorts. One focal length
-        and a central principal point, as LLFF has it; the poses of the first instant count, which StreamRF copies to the others.
+        Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02
+        before it sorts. One focal length and a central principal point, as LLFF has it; the poses
+        of the first instant count, which StreamRF copies to the others.
     """
     sources, poses_file = _numbered(path)
     numbers = sorted(sources)
@@ -236,16 +320,24 @@ def load_meetroom(path: Path, units: GivenUnits) -> Capture:
 
 
 def _numbered(path: Path) -> tuple[dict[int, CameraFrames], Path]:
-    """Return camera number -> its frames, and the pose file: beside the videos, or in the folder of the first instant."""
+    """Return camera number -> its frames, and the pose file: beside the videos, or in the folder of
+    the first instant.
+    """
     videos = members(path, ["CAM.mp4"], r"cam_\d{1,4}")
     if videos:
-        return {int(name.removeprefix("cam_")): video for name, video in videos.items()}, path / POSES
+        return {
+            int(name.removeprefix("cam_")): video for name, video in videos.items()
+        }, path / POSES
     for place in FRAMES:
         poses = min((path / place).glob(f"[0-9]*/{POSES}"), default=None)
         pictures = members(path, [f"{place}*/images/CAM.png"], r"cam\d{1,4}")
         if poses and pictures:
-            return {int(name.removeprefix("cam")): frames for name, frames in pictures.items()}, poses
+            return {
+                int(name.removeprefix("cam")): frames for name, frames in pictures.items()
+            }, poses
     return {}, path / POSES
 
 
-MEETROOM_LAYOUT = DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", refuse_meetroom, load_meetroom)
+MEETROOM_LAYOUT = DatasetSpec(
+    "poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", refuse_meetroom, load_meetroom
+)

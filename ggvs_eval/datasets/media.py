@@ -1,4 +1,6 @@
-"""The one index of media: all videos, folders of pictures and single pictures below a folder, and whose frames they are."""
+"""The one index of media: all videos, folders of pictures and single pictures below a folder, and
+whose frames they are.
+"""
 
 import re
 from collections.abc import Collection, Iterable, Sequence
@@ -10,14 +12,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_entries, list_files_below, same_name
+from ggvs_eval.files.listing import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    list_entries,
+    list_files_below,
+    same_name,
+)
 from ggvs_eval.files.video import VideoFrames
 
 CameraFrames = VideoFrames | ImageFrames
 KINDS = (".png", "/", "/*.mp4", ".mp4")  # of equally many members, the last goes first
 DEEPEST = 4  # folders between a scene and a file, as on the cards of cameras
 MEDIA = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
-# Words of folders whose pictures are of no camera: masks, depth, what was computed. Also those of whole sets of cameras.
+# Words of folders whose pictures are of no camera: masks, depth, what was computed. Also those of
+# whole sets of cameras.
 NO_CAMERA = re.compile(
     r"(?<![a-z])(backgrounds?|bkgd|f?masks?|bgmtv2|schp|depths?|normals?|segm\w*|flow|conf\w*|path|sparse|renders?|truth|\d+x)(?![a-z])",
     re.I,
@@ -31,8 +40,9 @@ class MediaGroup:
     """Files that lie alike: their paths differ in one part, which names the camera.
 
     Attributes:
-        pattern: that path below the scene, with CAM for the part; it ends with .mp4 (any video), / (a folder of pictures) or
-            .png (any picture). A * is any file, or a folder for each instant.
+        pattern: that path below the scene, with CAM for the part; it ends with .mp4 (any video), /
+            (a folder of pictures) or .png (any picture). A * is any file, or a folder for each
+            instant.
         members: the part, and the frames.
     """
 
@@ -65,7 +75,9 @@ def index_media(scene: Path) -> dict[str, MediaGroup]:
         pictures = [file for file in paths if file not in videos]
         parts = folder.relative_to(scene).parts
         media += [("/".join((*parts, "CAM.mp4")), file.stem, VideoFrames(file)) for file in videos]
-        media += [("/".join((*parts, "CAM.png")), file.stem, ImageFrames(file)) for file in pictures]
+        media += [
+            ("/".join((*parts, "CAM.png")), file.stem, ImageFrames(file)) for file in pictures
+        ]
         for level, part in enumerate(parts):
             around = parts[:level], parts[level + 1 :]
             if match := INSTANT.fullmatch(part):
@@ -87,15 +99,22 @@ def index_media(scene: Path) -> dict[str, MediaGroup]:
 
 
 def members(scene: Path, patterns: Sequence[str], form: str) -> dict[str, CameraFrames]:
-    """Return those whose names are of one form, a regular expression, in their order; of the first group that has any."""
+    """Return those whose names are of one form, a regular expression, in their order.
+
+    Of the first group that has any.
+    """
     index = index_media(scene)
     groups = (index[pattern].members for pattern in patterns if pattern in index)
-    named = ({name: frames for name, frames in group if re.fullmatch(form, name)} for group in groups)
+    named = (
+        {name: frames for name, frames in group if re.fullmatch(form, name)} for group in groups
+    )
     return next(filter(None, named), {})
 
 
 def folders_beside(scene: Path) -> list[Path]:
-    """Return a scene, and the folders up to two levels below it that hold no media: its calibration may lie there."""
+    """Return a scene, and the folders up to two levels below it that hold no media: its calibration
+    may lie there.
+    """
     inner = [entry for entry in list_entries(scene) if entry.is_dir()]
     inner += [entry for folder in inner for entry in list_entries(folder) if entry.is_dir()]
     return [scene, *(folder for folder in inner if not list_files_below(folder, MEDIA, DEEPEST))]
@@ -117,9 +136,10 @@ def match_cameras(cameras: Collection[str], names: Collection[str]) -> Matches:
     """Match cameras to names on disk.
 
     Reading:
-        Equal names, however their umlauts are written. Where none is: names that are equal without what begins and ends all of a
-        side, in any case of letters (``vid01-camA`` is A, ``cam_0`` is 0). As the last resort, two rows of as many consecutive
-        numbers, ``cam_0`` to ``cam_5`` and ``Cam1`` to ``Cam6``, in their order. Else none: a name that is merely alike may be
+        Equal names, however their umlauts are written. Where none is: names that are equal without
+        what begins and ends all of a side, in any case of letters (``vid01-camA`` is A, ``cam_0``
+        is 0). As the last resort, two rows of as many consecutive numbers, ``cam_0`` to ``cam_5``
+        and ``Cam1`` to ``Cam6``, in their order. Else none: a name that is merely alike may be
         another camera's.
 
     Examples:
@@ -131,12 +151,17 @@ def match_cameras(cameras: Collection[str], names: Collection[str]) -> Matches:
         {}
     """
     spelled = {same_name(name): name for name in names}
-    equal = {camera: spelled[same_name(camera)] for camera in cameras if same_name(camera) in spelled}
+    equal = {
+        camera: spelled[same_name(camera)] for camera in cameras if same_name(camera) in spelled
+    }
     bare, on_disk = _bare(cameras), _bare(spelled.values())
     if equal or not 1 < len(cameras) == len(bare) == len(on_disk) == len(set(names)):
         return Matches(equal)
     if bare.keys() == on_disk.keys():
-        return Matches({camera: on_disk[key] for key, camera in bare.items()}, "by the part of the names that varies")
+        return Matches(
+            {camera: on_disk[key] for key, camera in bare.items()},
+            "by the part of the names that varies",
+        )
     numbers, numbers_on_disk = _numbers(bare), _numbers(on_disk)
     if not numbers or not numbers_on_disk:
         return Matches({})
@@ -145,7 +170,10 @@ def match_cameras(cameras: Collection[str], names: Collection[str]) -> Matches:
 
 
 def _bare(names: Iterable[str]) -> dict[str, str]:
-    """Return the part of each name that varies -> the name; neither end of it cuts a number in two."""
+    """Return the part of each name that varies -> the name.
+
+    Neither end of it cuts a number in two.
+    """
     texts = {name: same_name(name).casefold() for name in names}
     start = len(re.sub(r"\d+$", "", commonprefix([*texts.values()])))  # noqa: RUF071  of texts, which are no paths
     texts = {name: text[start:] for name, text in texts.items()}

@@ -1,4 +1,6 @@
-"""Captures that their authors publish: fetched by name, kept where they are found again, known by ``DATASET:SCENE``."""
+"""Captures that their authors publish: fetched by name, kept where they are found again, known by
+``DATASET:SCENE``.
+"""
 
 import re
 from dataclasses import dataclass
@@ -14,7 +16,8 @@ from ggvs_eval.files.toml_tables import build_table, parse_toml
 
 FILE = "public_captures.toml"
 NAME = re.compile(r"[a-z0-9-]+:[\w.-]*")
-LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)  # of an archive; the disk's room is looked at too
+# of an archive; the disk's room is looked at too
+LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,10 @@ class PublicDataset:
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of all scenes."""
-        return (*(self.folders or self.archives), *(scene for part in self.by_hand for scene in part.scenes))
+        return (
+            *(self.folders or self.archives),
+            *(scene for part in self.by_hand for scene in part.scenes),
+        )
 
     def terms(self, scene: str) -> str:
         """Return title, size, licence, page and protocols, in one line."""
@@ -69,7 +75,11 @@ class PublicDataset:
 
     def place(self, scene: str) -> Path:
         """Return the folder of a scene, present or not."""
-        return self.folder() / self.archives[0] / scene if scene in self.folders else self.folder() / scene
+        return (
+            self.folder() / self.archives[0] / scene
+            if scene in self.folders
+            else self.folder() / scene
+        )
 
     def way(self, by_hand: ByHand, scene: str) -> str:
         """Return what to fetch by hand, where to put it, and the page that says more."""
@@ -97,7 +107,8 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
     datasets = public_datasets()
     if dataset_name not in datasets:
         raise CaptureError(
-            f"{name}: wanted DATASET:SCENE, the data sets are {', '.join(datasets)}{did_you_mean(dataset_name, datasets)}"
+            f"{name}: wanted DATASET:SCENE, the data sets are "
+            f"{', '.join(datasets)}{did_you_mean(dataset_name, datasets)}"
         )
     dataset = datasets[dataset_name]
     if scene not in dataset.scenes:
@@ -108,22 +119,26 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
 
 
 def locate(path: Path) -> Path:
-    """Return the folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`."""
+    """Return the folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by
+    `get_capture`.
+    """
     name = str(path)
     if path.exists() or not NAME.fullmatch(name) or name.partition(":")[0] not in public_datasets():
         return path
     dataset, scene = find_scene(name)
     place = dataset.place(scene)
     if not place.is_dir():
-        raise CaptureError(f"{name}: wanted the capture in {place}, got none; run 'ggvs-eval get {name}'")
+        raise CaptureError(
+            f"{name}: wanted the capture in {place}, got none; run 'ggvs-eval get {name}'"
+        )
     return place
 
 
 def get_capture(name: str) -> Path:
     """Fetch a capture, unpack it and return its folder; nothing is done where it is there already.
 
-    The archive is removed once it is unpacked; its size and SHA-256 stay next to it, and an archive that is
-    fetched again must be the same.
+    The archive is removed once it is unpacked; its size and SHA-256 stay next to it, and an archive
+    that is fetched again must be the same.
 
     Args:
         name: ``DATASET:SCENE``.
@@ -146,5 +161,7 @@ def get_capture(name: str) -> Path:
         unpack(file, scratch, LIMITS, CaptureError).replace(dataset.folder() / archive)
     file.unlink()
     if not place.is_dir():
-        raise CaptureError(f"{name}: wanted {scene} in the archive, it holds no such folder; see {dataset.page}")
+        raise CaptureError(
+            f"{name}: wanted {scene} in the archive, it holds no such folder; see {dataset.page}"
+        )
     return place

@@ -1,4 +1,6 @@
-"""A rig of lenses with frames becomes a capture: frames are undistorted as they are read, ranges that are not given guessed."""
+"""A rig of lenses with frames becomes a capture: frames are undistorted as they are read, ranges
+that are not given guessed.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +25,8 @@ class RigCamera(NamedTuple):
         lens: at the size of the calibration.
         world_to_camera: (4, 4).
         near_far: depth range, world units; None if the calibration gives none.
-        K: of the pinhole image at the size of the calibration, (3, 3); that without blank pixels when None.
+        K: of the pinhole image at the size of the calibration, (3, 3); that without blank pixels
+            when None.
     """
 
     name: str
@@ -41,7 +44,17 @@ def pinhole_cameras(rig: Sequence[RigCamera], file: Path) -> list[Camera]:
         origin: RangeOrigin = "given" if near_far else "guessed"
         try:
             K = lens.undistorted_K() if K is None else K
-            cameras.append(Camera(name, K, pose, lens.width, lens.height, *(near_far or guess), range_origin=origin))
+            cameras.append(
+                Camera(
+                    name,
+                    K,
+                    pose,
+                    lens.width,
+                    lens.height,
+                    *(near_far or guess),
+                    range_origin=origin,
+                )
+            )
         except CameraError as error:
             raise CaptureError(f"{file}: {error}") from error
     return cameras
@@ -53,18 +66,27 @@ def pinhole_rig(
     """Return the cameras and the frames of undistorted images.
 
     Args:
-        sources: frames of each camera, at the size of its calibration, uniformly scaled, or the part that ``crop.toml`` states.
+        sources: frames of each camera, at the size of its calibration, uniformly scaled, or the
+            part that ``crop.toml`` states.
         file: of the calibration, named in errors.
         folder: of the capture.
     """
     crop = given_crop(folder)
     try:
-        lenses = [crop_lens(camera.name, camera.lens, source.size, crop) for camera, source in zip(rig, sources, strict=True)]
+        lenses = [
+            crop_lens(camera.name, camera.lens, source.size, crop)
+            for camera, source in zip(rig, sources, strict=True)
+        ]
     except CameraError as error:
         raise CaptureError(f"{file}: {error}") from error
-    cameras = pinhole_cameras([camera._replace(lens=lens) for camera, lens in zip(rig, lenses, strict=True)], file)
+    cameras = pinhole_cameras(
+        [camera._replace(lens=lens) for camera, lens in zip(rig, lenses, strict=True)], file
+    )
     pinholes = [camera.K for camera in cameras]
-    return cameras, [undistorted(source, lens, K) for source, lens, K in zip(sources, lenses, pinholes, strict=True)]
+    return cameras, [
+        undistorted(source, lens, K)
+        for source, lens, K in zip(sources, lenses, pinholes, strict=True)
+    ]
 
 
 def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
@@ -83,10 +105,20 @@ def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
 
 
 def pinhole_camera(
-    file: Path, name: str, K: Array, size: tuple[int, int], pose: Array, near_far: tuple[float, float] | None = None
+    file: Path,
+    name: str,
+    K: Array,
+    size: tuple[int, int],
+    pose: Array,
+    near_far: tuple[float, float] | None = None,
 ) -> RigCamera:
     """Return a camera whose pictures are undistorted already; `file` is named in errors."""
     try:
-        return RigCamera(name, Lens(K, "opencv", (0.0,) * 4, *size), pose, near_far)
+        return RigCamera(
+            name=name,
+            lens=Lens(K, "opencv", (0.0,) * 4, *size),
+            world_to_camera=pose,
+            near_far=near_far,
+        )
     except CameraError as error:
         raise CaptureError(f"{file}: {name}: {error}") from error

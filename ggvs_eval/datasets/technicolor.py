@@ -1,4 +1,6 @@
-"""Technicolor's light-field videos (Sabater et al. 2017), undistorted: pictures of a rig in one folder, and its parameters."""
+"""Technicolor's light-field videos (Sabater et al. 2017), undistorted: pictures of a rig in one
+folder, and its parameters.
+"""
 
 import re
 from pathlib import Path
@@ -21,11 +23,13 @@ PARAMETERS = "cameras_parameters.txt"
 COLUMNS = "f cu cv ar sk qw qx qy qz tx ty tz"
 N_COLUMNS = len(COLUMNS.split())
 FRAME = re.compile(r".*_undist_(\d{1,8})_(\d{1,4})")
-# The pictures are in the scene's folder, as SpacetimeGaussians expects them, or in images/, as HyperReel does.
+# The pictures are in the scene's folder, as SpacetimeGaussians expects them, or in images/, as
+# HyperReel does.
 FOLDERS = (".", "images")
 CALIBRATED_SIZE = 2048, 1088
 LARGEST_NUMBER = 1e9
-LARGEST_SKEW_PX = 0.1  # at which no pixel of the image is off by more than 0.03 px in depth and place
+# at which no pixel of the image is off by more than 0.03 px in depth and place
+LARGEST_SKEW_PX = 0.1
 
 
 def refuse(path: Path) -> str | None:
@@ -39,23 +43,37 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """Open a scene; its cameras are called cam00, cam01, ... in the order of their rows.
 
     Args:
-        path: folder with ``cameras_parameters.txt`` and ``SCENE_undist_<frame>_<camera>.png``, or ``images/`` with these.
+        path: folder with ``cameras_parameters.txt`` and ``SCENE_undist_<frame>_<camera>.png``, or
+            ``images/`` with these.
 
     Reading:
-        The data set has no public description. After HyperReel's loader: row i belongs to the pictures of number i; fx = f,
-        fy = ar f at 2048 x 1088; the quaternion (w first) and t map world to camera. sk must be zero. Frames count from the
-        first picture that is there, regardless of its number: Painter's begin at 0, the others' at 1. Depth range: HyperReel's
+        The data set has no public description. After HyperReel's loader: row i belongs to the
+        pictures of number i; fx = f, fy = ar f at 2048 x 1088; the quaternion (w first) and t map
+        world to camera. sk must be zero. Frames count from the first picture that is there,
+        regardless of its number: Painter's begin at 0, the others' at 1. Depth range: HyperReel's
         of the scene by its name.
     """
     folder, by_camera = _find_frames(path) or (path, {})
     rows = _read_rows(path / PARAMETERS)
     unmatched = sorted(set(range(len(rows))) ^ set(by_camera))
     if unmatched:
-        gaps = listed([f"{number:02d} ({PARAMETERS if number in range(len(rows)) else 'pictures'} only)" for number in unmatched])
-        raise CaptureError(f"{path}: wanted pictures of the camera of each row of {PARAMETERS}, got {gaps}; restore these")
+        gaps = listed(
+            [
+                f"{number:02d} ({PARAMETERS if number in range(len(rows)) else 'pictures'} only)"
+                for number in unmatched
+            ]
+        )
+        raise CaptureError(
+            f"{path}: wanted pictures of the camera of each row of {PARAMETERS}, got {gaps}; "
+            f"restore these"
+        )
     cameras = _cameras(path, rows)
-    sources = [ImageFrames(folder, numbered=tuple(by_camera[number])) for number in range(len(rows))]
-    return assemble_capture(path, "technicolor", cameras, sources, choose_units(path, units, cameras))
+    sources = [
+        ImageFrames(folder, numbered=tuple(by_camera[number])) for number in range(len(rows))
+    ]
+    return assemble_capture(
+        path, "technicolor", cameras, sources, choose_units(path, units, cameras)
+    )
 
 
 def _find_frames(path: Path) -> tuple[Path, dict[int, list[tuple[int, Path]]]] | None:
@@ -75,10 +93,14 @@ def _read_rows(file: Path) -> np.ndarray:
         _, _, numbers = read_plain_text(file).partition("\n")
         rows = [row for row in parse_numbers(numbers, 2) if row]
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{file}: wanted {COLUMNS} of each camera, got: {error}; copy the scene again") from error
+        raise CaptureError(
+            f"{file}: wanted {COLUMNS} of each camera, got: {error}; copy the scene again"
+        ) from error
     check_rig_size(file, len(rows))
     if not rows:
-        raise CaptureError(f"{file}: wanted a line of names and a row per camera, got none; copy the scene again")
+        raise CaptureError(
+            f"{file}: wanted a line of names and a row per camera, got none; copy the scene again"
+        )
     for index, row in enumerate(rows):
         row_text = " ".join(f"{value:g}" for value in row)
         if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
@@ -87,7 +109,9 @@ def _read_rows(file: Path) -> np.ndarray:
             form = "zero skew (sk) and a unit quaternion"
         else:
             continue
-        raise CaptureError(f"{file}: wanted {form} of camera {index}, got {row_text:.80}; copy the scene again")
+        raise CaptureError(
+            f"{file}: wanted {form} of camera {index}, got {row_text:.80}; copy the scene again"
+        )
     return np.array(rows)
 
 
@@ -100,8 +124,15 @@ def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
         focal_px, cu, cv, aspect = row[:4]
         K = pinhole_K(focal_px, aspect * focal_px, cu, cv)
         pose = rigid(Rotation.from_quat(row[[6, 7, 8, 5]]).as_matrix(), row[9:12])
-        rig.append(pinhole_camera(path / PARAMETERS, f"cam{index:02d}", K, CALIBRATED_SIZE, pose, depths))
+        rig.append(
+            pinhole_camera(path / PARAMETERS, f"cam{index:02d}", K, CALIBRATED_SIZE, pose, depths)
+        )
     return pinhole_cameras(rig, path / PARAMETERS)
 
 
-LAYOUT = DatasetSpec("cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", refuse, load, (PARAMETERS,))
+LAYOUT = DatasetSpec(
+    describe="cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)",
+    refuse=refuse,
+    load=load,
+    marks=(PARAMETERS,),
+)

@@ -12,8 +12,12 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 
 FIRST_BYTES = 1 << 20
 # Our own, which are no calibration; calibration.json is a common name, and ours by its keys alone.
-OWN = f"units.toml {CROP_FILE} {PAIRING_FILE} corrections.toml depth_range.toml intrinsics.toml demo.json calibration.log".split()
-# Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
+OWN = (
+    *("units.toml", CROP_FILE, PAIRING_FILE, "corrections.toml", "depth_range.toml"),
+    *("intrinsics.toml", "demo.json", "calibration.log"),
+)
+# Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a
+# filmed room.
 OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
 TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
@@ -21,7 +25,8 @@ LISTED = 8
 
 
 def unused_note(path: Path, paths: Collection[str], notes: Sequence[str]) -> list[str]:
-    """A note on what a folder holds beside a capture that was opened, and nothing of it was looked at.
+    """A note on what a folder holds beside a capture that was opened, and nothing of it was looked
+    at.
 
     Args:
         paths: absolute paths of files that were.
@@ -29,7 +34,9 @@ def unused_note(path: Path, paths: Collection[str], notes: Sequence[str]) -> lis
     """
     named = set(re.split(r"[ ,;:/]+", " ".join(notes)))
     start = os.path.join(os.path.abspath(path), "")
-    tops = {file.removeprefix(start).partition(os.sep)[0] for file in paths if file.startswith(start)}
+    tops = {
+        file.removeprefix(start).partition(os.sep)[0] for file in paths if file.startswith(start)
+    }
     own_folders = {folder for folder, file in OWN_FOLDERS.items() if (path / file).is_file()}
     names = []
     for entry in list_entries(path):

@@ -1,6 +1,8 @@
-"""Archives that others packed, unpacked as if their author were an enemy: only plain files, inside the folder, within limits.
+"""Archives that others packed, unpacked as if their author were an enemy: only plain files, inside
+the folder, within limits.
 
-What the archive's own headers claim is checked before a byte is written, what really comes out is counted while it is written.
+What the archive's own headers claim is checked before a byte is written, what really comes out is
+counted while it is written.
 """
 
 import gzip
@@ -23,7 +25,16 @@ SUFFIXES = (".zip", ".tar.gz", ".tgz", ".tar")
 CHUNK_BYTES = 1 << 20
 # A tar header may announce a name of any length, which is read at once.
 LARGEST_READ = 16 << 20
-ERRORS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
+ERRORS = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 UNSAFE_PATH = re.compile(r"[\x00-\x1f\x7f]|^[A-Za-z]:")
 
@@ -38,7 +49,9 @@ class Limits:
 
 @dataclass(frozen=True)
 class _Member:
-    """One entry: its path, in which the backslashes of Windows are separators, and its content where it is a file."""
+    """One entry: its path, in which the backslashes of Windows are separators, and its content
+    where it is a file.
+    """
 
     path: PurePosixPath
     n_bytes: int
@@ -66,8 +79,9 @@ def unpack(path: Path, folder: Path, limits: Limits, error: type[GgvsError]) -> 
         The folder, or the only folder in it if there is nothing else.
 
     Raises:
-        GgvsError: of class `error`: a damaged archive, an absolute path, one with ``..``, a link, a device, a name twice, more
-            files or bytes than allowed, or more than the disk has room for.
+        GgvsError: of class `error`: a damaged archive, an absolute path, one with ``..``, a link, a
+            device, a name twice, more files or bytes than allowed, or more than the disk has room
+            for.
     """
     folder.mkdir(parents=True, exist_ok=True)
     limits = Limits(limits.n_files, min(limits.n_bytes, shutil.disk_usage(folder).free))
@@ -108,16 +122,20 @@ def _write(members: Iterator[_Member], folder: Path, limits: Limits) -> None:
 
 
 def _safe(member: PurePosixPath) -> PurePosixPath:
-    """Return the member's path if it stays inside and has no signs in it that some system takes for more than a name."""
+    """Return the member's path if it stays inside and has no signs in it that some system takes for
+    more than a name.
+    """
     if member.is_absolute() or ".." in member.parts or UNSAFE_PATH.search(str(member)):
-        raise _RefusedError(f"holds {str(member)!r}, which leads outside of it; nothing was unpacked, pack it again")
+        raise _RefusedError(
+            f"holds {str(member)!r}, which leads outside of it; nothing was unpacked, pack it again"
+        )
     return member
 
 
 def _too_much(limits: Limits) -> _RefusedError:
     return _RefusedError(
-        f"holds more than {limits.n_files} files or {limits.n_bytes / 1e6:.0f} MB, more than this command needs and this "
-        "disk may hold; unpack it manually and give the folder"
+        f"holds more than {limits.n_files} files or {limits.n_bytes / 1e6:.0f} MB, more than this "
+        "command needs and this disk may hold; unpack it manually and give the folder"
     )
 
 
@@ -163,7 +181,9 @@ def _tar_members(tar: tarfile.TarFile) -> Iterator[_Member]:
         elif info.isreg() and not info.issparse():
             yield _Member(name, info.size, tar.extractfile(info))
         else:
-            raise _forbidden(info.name, "a link or a device" if not info.issparse() else "a sparse file")
+            raise _forbidden(
+                info.name, "a link or a device" if not info.issparse() else "a sparse file"
+            )
 
 
 class _Bounded:

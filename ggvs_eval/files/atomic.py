@@ -1,7 +1,8 @@
-"""Write files and folders atomically: under a temporary name next to the target, renamed when complete.
+"""Write files and folders atomically: under a temporary name next to the target, renamed when
+complete.
 
-A kill leaves the old file or the new one. What a killed process was filling stays next to the target until `remove_leftovers`
-or, in a folder of many files, `sweep_files`.
+A kill leaves the old file or the new one. What a killed process was filling stays next to the
+target until `remove_leftovers` or, in a folder of many files, `sweep_files`.
 """
 
 import errno
@@ -19,14 +20,17 @@ from secrets import token_hex
 
 # .<name>.<host>.<pid>.tmp; of a file what libraries go by may follow.
 TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]+)\.(?P<pid>\d+)\.tmp(\.\w+)?")
-FULL = re.compile(r"\d+ requested and \d+ written|No space left")  # messages of numpy and HDF5 on a full disk, without its number
+# messages of numpy and HDF5 on a full disk, without its number
+FULL = re.compile(r"\d+ requested and \d+ written|No space left")
 KEPT_OF_NAME = 40  # signs, so that a temporary name is not too long where the name is not
 SILENT_S = 3600.0  # after that without a new file, what another machine began is taken for given up
 
 
 @contextmanager
 def atomic_file(path: Path, ending: str = "") -> Iterator[Path]:
-    """Give a path to write to, which takes the place of `path` when the block ends; after an error nothing is left of it.
+    """Give a path to write to, which takes the place of `path` when the block ends.
+
+    After an error nothing is left of it.
 
     Args:
         path: the file to write; its folder is made.
@@ -36,7 +40,8 @@ def atomic_file(path: Path, ending: str = "") -> Iterator[Path]:
         A name in the same folder that no other process uses.
 
     Raises:
-        OSError: the file cannot be written. The error names it, where it would name no file or the temporary one.
+        OSError: the file cannot be written. The error names it, where it would name no file or the
+            temporary one.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     owner = f"{_host()}.{os.getpid()}"
@@ -91,7 +96,8 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
         beside: path next to which the folder is made; part of its name.
 
     Yields:
-        ``.<name>.<host>.<pid>.tmp``: others can see that this process works on it, and sweep it when the process is dead.
+        ``.<name>.<host>.<pid>.tmp``: others can see that this process works on it, and sweep it
+        when the process is dead.
     """
     folder = beside.absolute().with_name(f".{beside.absolute().name}.{_host()}.{os.getpid()}.tmp")
     shutil.rmtree(folder, ignore_errors=True)
@@ -105,7 +111,9 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder to fill, which takes the place of `folder` when the block ends; after an error nothing is left of it.
+    """Give a folder to fill, which takes the place of `folder` when the block ends.
+
+    After an error nothing is left of it.
 
     Args:
         folder: the folder to make: absent or empty when the block ends.
@@ -121,7 +129,10 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def absent_unless_made(folder: Path) -> Iterator[None]:
-    """Remove a folder, and empty ones above it, absent before a block that fails; a stop by the user removes nothing."""
+    """Remove a folder, and empty ones above it, absent before a block that fails.
+
+    A stop by the user removes nothing.
+    """
     absent = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         yield
@@ -135,7 +146,8 @@ def absent_unless_made(folder: Path) -> Iterator[None]:
 
 
 def is_in_hand(temporary: Path) -> bool:
-    """Return whether the process that fills a scratch folder or a temporary file is still at work on it.
+    """Return whether the process that fills a scratch folder or a temporary file is still at work
+    on it.
 
     Args:
         temporary: ``.<name>.<host>.<pid>.tmp``.
@@ -165,7 +177,10 @@ def remove_leftovers(beside: Path) -> None:
 
 
 def sweep_files(folder: Path) -> None:
-    """Remove from a folder the temporary files of killed processes; not those that another process is writing."""
+    """Remove from a folder the temporary files of killed processes.
+
+    Not those that another process is writing.
+    """
     for item in folder.iterdir() if folder.is_dir() else ():
         if TEMPORARY.fullmatch(item.name) and not is_in_hand(item):
             with suppress(OSError):  # another sweeps too
@@ -174,7 +189,8 @@ def sweep_files(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep others who lock the folder, on this machine or on those that share its disk, out of the block; it is made if need be.
+    """Keep others who lock the folder, on this machine or on those that share its disk, out of the
+    block; it is made if need be.
 
     The one who had it may have put another folder in its place meanwhile: then that one is locked.
     """

@@ -1,4 +1,6 @@
-"""Coding parameters of a video, as its encoder wrote them into it: enough to code another one in the same way."""
+"""Coding parameters of a video, as its encoder wrote them into it: enough to code another one in
+the same way.
+"""
 
 import re
 from dataclasses import dataclass
@@ -15,9 +17,11 @@ if TYPE_CHECKING:
     from av.sidedata.sidedata import SideData
 
 X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
-RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")  # x264 turns a rate factor of 0 into lossless
+# x264 turns a rate factor of 0 into lossless
+RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")
 PIXEL_FORMATS = ("yuv420p", "yuvj420p")
-# A setting as x264 prints it -> as it takes it; what is left out does not change what frames look like, or is printed otherwise.
+# A setting as x264 prints it -> as it takes it; what is left out does not change what frames look
+# like, or is printed otherwise.
 SETTINGS = {
     "ref": "ref",
     "subme": "subme",
@@ -45,7 +49,8 @@ class Coding:
         size: of the coded frames, (width, height), pixels.
         crf: x264's constant rate factor.
         settings: other settings of x264, in its own syntax.
-        frame_bytes: of each measured frame that is coded by its difference from others; of all frames where none is.
+        frame_bytes: of each measured frame that is coded by its difference from others; of all
+            frames where none is.
         unknown: why frames cannot be coded again in the same way; empty if they can.
     """
 
@@ -57,7 +62,9 @@ class Coding:
 
     @property
     def step_255(self) -> float:
-        """Step of the quantiser, grey levels of 255: H.264's at a quantiser equal to the rate factor; 0 for lossless."""
+        """Step of the quantiser, grey levels of 255: H.264's at a quantiser equal to the rate
+        factor; 0 for lossless.
+        """
         return float(2 ** ((self.crf - 4) / 6)) if self.crf > 0 else 0.0
 
 
@@ -68,7 +75,8 @@ def read_coding(path: Path, frames: range) -> Coding:
         path: MP4 or MOV file.
 
     Returns:
-        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or worked to a bit rate.
+        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did
+        not, or worked to a bit rate.
     """
     import av
     from av.sidedata.sidedata import Type
@@ -79,28 +87,49 @@ def read_coding(path: Path, frames: range) -> Coding:
             track = container.streams.video.index(shown_track(container))
             frame = next(container.decode(video=track))
             beside = cast("Sequence[SideData]", frame.side_data)  # declared as a mapping
-            notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]
+            notes = [
+                bytes(beside[index])
+                for index in range(len(beside))
+                if beside[index].type == Type.SEI_UNREGISTERED
+            ]
             pixels = frame.format.name
             container.seek(0)
             packets = sorted(
-                (packet.pts, packet.size, packet.is_keyframe) for packet in container.demux(video=track) if packet.pts is not None
+                (packet.pts, packet.size, packet.is_keyframe)
+                for packet in container.demux(video=track)
+                if packet.pts is not None
             )
     except (av.error.FFmpegError, StopIteration) as error:
-        raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
+        raise CaptureError(
+            f"{path}: wanted a video, got data that do not decode; copy or encode it again"
+        ) from error
     printed = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
     factor = RATE_FACTOR.search(printed)
     if not factor:
-        return Coding(size, unknown="coded without a rate factor" if printed else "coded by another encoder than x264")
+        return Coding(
+            size,
+            unknown="coded without a rate factor"
+            if printed
+            else "coded by another encoder than x264",
+        )
     if pixels not in PIXEL_FORMATS:
         return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
     clip = packets[frames.start : frames.stop]
-    differences = tuple(n_bytes for _, n_bytes, is_key in clip if not is_key) or tuple(packet[1] for packet in clip)
-    return Coding(size, float(factor[1] or 0), _settings(printed), differences)
+    differences = tuple(n_bytes for _, n_bytes, is_key in clip if not is_key) or tuple(
+        packet[1] for packet in clip
+    )
+    return Coding(
+        size=size, crf=float(factor[1] or 0), settings=_settings(printed), frame_bytes=differences
+    )
 
 
 def _settings(printed: str) -> str:
     values = dict(setting.split("=", 1) for setting in printed.split() if "=" in setting)
     # Colons separate settings, so that none can contain one.
-    settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]
+    settings = [
+        f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values
+    ]
     mode, _, strength = values.get("aq", "0").partition(":")
-    return ":".join([*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])])
+    return ":".join(
+        [*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])]
+    )

@@ -31,7 +31,9 @@ class Sightings(NamedTuple):
         return Sightings(self.point[mask], self.uv[mask], self.rgb[mask])
 
 
-def write_model(folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> None:
+def write_model(
+    folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array
+) -> None:
     """Write cameras, images and points, numbered from 1.
 
     Args:
@@ -39,11 +41,18 @@ def write_model(folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sig
         points: all points, world units, (P, 3); those that no camera sees are left out.
 
     Reading:
-        A point's error is the mean distance in pixels between its sightings and its images in these cameras.
+        A point's error is the mean distance in pixels between its sightings and its images in these
+        cameras.
     """
     folder.mkdir(parents=True)
-    _write(folder / FILES[0], (_camera_line(number, camera) for number, camera in enumerate(cameras, 1)))
-    images = (_image_lines(number, *pair) for number, pair in enumerate(zip(cameras, sightings, strict=True), 1))
+    _write(
+        folder / FILES[0],
+        (_camera_line(number, camera) for number, camera in enumerate(cameras, 1)),
+    )
+    images = (
+        _image_lines(number, *pair)
+        for number, pair in enumerate(zip(cameras, sightings, strict=True), 1)
+    )
     _write(folder / FILES[1], (line for lines in images for line in lines))
     _write(folder / FILES[2], _point_lines(cameras, sightings, points))
 
@@ -59,12 +68,19 @@ def _image_lines(number: int, camera: Camera, sightings: Sightings) -> list[str]
 
     quaternion = Rotation.from_matrix(camera.rotation).as_quat(canonical=True, scalar_first=True)
     pose = _numbers([*quaternion, *camera.translation])
-    sights = (f"{_numbers(uv)} {index + 1}" for uv, index in zip(sightings.uv, sightings.point, strict=True))
+    sights = (
+        f"{_numbers(uv)} {index + 1}"
+        for uv, index in zip(sightings.uv, sightings.point, strict=True)
+    )
     return [f"{number} {pose} {number} {camera.name}.png", " ".join(sights)]
 
 
-def _point_lines(cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> Iterable[str]:
-    """Yield the place, colour, error, and the track: number of the image and of the sighting in it, from 0."""
+def _point_lines(
+    cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array
+) -> Iterable[str]:
+    """Yield the place, colour, error, and the track: number of the image and of the sighting in it,
+    from 0.
+    """
     tracks: dict[int, list[str]] = {}
     colours: dict[int, list[Image8]] = {}
     errors_px: dict[int, list[float]] = {}

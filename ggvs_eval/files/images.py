@@ -16,7 +16,8 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-# EXIF orientation -> what shows the stored pixels upright; the tag names the place of row 0 and column 0 in the scene.
+# EXIF orientation -> what shows the stored pixels upright; the tag names the place of row 0 and
+# column 0 in the scene.
 TURNS: dict[int, Callable[[Image8], Image8]] = {
     2: lambda image: image[:, ::-1],
     3: lambda image: image[::-1, ::-1],
@@ -40,18 +41,31 @@ def quantise(image: NDArray[np.floating]) -> Image8:
 
 
 def round_levels(levels: NDArray[Any]) -> Image8:
-    """Round levels on the scale 0..255 to 8 bit, as they will be saved; values outside are clipped."""
+    """Round levels on the scale 0..255 to 8 bit, as they will be saved.
+
+    Values outside are clipped.
+    """
     return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
 
 
 def to_8_bit(image: NDArray[np.generic]) -> Image8:
     """Return an image as it will be saved: uint8 as it is, floats in [0, 1] rounded."""
-    return np.asarray(image, np.uint8) if image.dtype == np.uint8 else quantise(np.asarray(image, np.float64))
+    return (
+        np.asarray(image, np.uint8)
+        if image.dtype == np.uint8
+        else quantise(np.asarray(image, np.float64))
+    )
 
 
 def mean_of_channels(image: NDArray[Any]) -> Array32:
-    """Return the mean of the three channels, (h, w); NumPy's own mean over so short an axis takes ten times as long."""
-    return np.asarray((image[..., 0].astype(np.float32) + image[..., 1] + image[..., 2]) / np.float32(3), dtype=np.float32)
+    """Return the mean of the three channels, (h, w).
+
+    NumPy's own mean over so short an axis takes ten times as long.
+    """
+    return np.asarray(
+        (image[..., 0].astype(np.float32) + image[..., 1] + image[..., 2]) / np.float32(3),
+        dtype=np.float32,
+    )
 
 
 def read_image(path: Path, as_stored: bool = False) -> Image8:
@@ -64,7 +78,9 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
     image = decode_image(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         content = f"{path.stat().st_size} bytes that do not decode"
-        raise CaptureError(f"{path}: wanted an image, got {content}; restore or render this frame again")
+        raise CaptureError(
+            f"{path}: wanted an image, got {content}; restore or render this frame again"
+        )
     rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     orientation = UPRIGHT if as_stored else read_orientation(encoded.tobytes())
     return rgb if orientation == UPRIGHT else np.ascontiguousarray(TURNS[orientation](rgb))
@@ -75,14 +91,21 @@ def read_encoded(path: Path) -> NDArray[np.uint8]:
     try:
         encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
     except OSError as error:
-        raise CaptureError(f"{path}: wanted a picture, got {why_unread(error)}; restore or render this frame again") from error
+        raise CaptureError(
+            f"{path}: wanted a picture, got {why_unread(error)}; restore or render this frame again"
+        ) from error
     if not encoded.size:
-        raise CaptureError(f"{path}: wanted a picture, got an empty file; restore or render this frame again")
+        raise CaptureError(
+            f"{path}: wanted a picture, got an empty file; restore or render this frame again"
+        )
     return encoded
 
 
 def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] | None:
-    """Return the image that a file's bytes hold, as ``cv2.imdecode`` gives it; None if they hold none."""
+    """Return the image that a file's bytes hold, as ``cv2.imdecode`` gives it.
+
+    None if they hold none.
+    """
     if not encoded.size or _is_cut_png(encoded.tobytes()):
         return None
     try:
@@ -92,7 +115,9 @@ def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] 
 
 
 def _is_cut_png(content: bytes) -> bool:
-    """Return whether a chunk of a PNG file continues past its end: OpenCV allocates what is claimed, 4 GB for 200 bytes."""
+    """Return whether a chunk of a PNG file continues past its end: OpenCV allocates what is
+    claimed, 4 GB for 200 bytes.
+    """
     at, kind = len(PNG_SIGNATURE), b""
     while content.startswith(PNG_SIGNATURE) and at + 8 <= len(content) and kind != b"IEND":
         kind = content[at + 4 : at + 8]
@@ -101,7 +126,8 @@ def _is_cut_png(content: bytes) -> bool:
 
 
 def write_image(path: Path, image: Image8) -> None:
-    """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or none.
+    """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or
+    none.
 
     Examples:
         >>> import tempfile
@@ -110,7 +136,9 @@ def write_image(path: Path, image: Image8) -> None:
         ...     read_image(Path(folder) / "0000.png").shape
         (2, 3, 3)
     """
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+    _, encoded = cv2.imencode(
+        ".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]
+    )
     write_bytes(path, encoded.tobytes())
 
 
@@ -121,8 +149,9 @@ def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) 
         image: (H, W, 3) or (H, W), uint8.
         width: wanted width in pixels.
         height: wanted height in pixels.
-        resize_filter: ``area`` (box average), or ``lanczos``, ``bicubic``, ``bilinear`` with the filter's support scaled to the
-            reduction (antialiased, as Pillow does and as the DyNeRF loaders use it).
+        resize_filter: ``area`` (box average), or ``lanczos``, ``bicubic``, ``bilinear`` with the
+            filter's support scaled to the reduction (antialiased, as Pillow does and as the DyNeRF
+            loaders use it).
 
     Examples:
         >>> resize(np.array([[0, 10], [20, 30]], np.uint8), 1, 1, "area").tolist()
@@ -131,7 +160,9 @@ def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) 
     if image.shape[1::-1] == (width, height):
         return image
     if resize_filter == "area":
-        return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return np.asarray(
+            cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8
+        )
     from PIL import Image
 
     pillow_filter = Image.Resampling[resize_filter.upper()]

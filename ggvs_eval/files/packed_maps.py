@@ -1,4 +1,5 @@
-"""Maps of one size in an ``.npz``, without loss at half the size: bytes of equal weight side by side, by zstandard.
+"""Maps of one size in an ``.npz``, without loss at half the size: bytes of equal weight side by
+side, by zstandard.
 
 Of a depth map at 1345 x 1008 that takes 4 ms, reading 6 ms, and leaves 2.2 of 4 bytes a pixel.
 """
@@ -16,7 +17,10 @@ DTYPES = {"float32": np.float32, "uint8": np.uint8}
 
 
 def write_packed(file: BinaryIO, maps: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write maps (H, W), float32 or uint8; a member is called ``<name>.<dtype>.zstd``, next to their ``size``."""
+    """Write maps (H, W), float32 or uint8.
+
+    A member is called ``<name>.<dtype>.zstd``, next to their ``size``.
+    """
     members = {f"{name}.{array.dtype.name}{SUFFIX}": _pack(array) for name, array in maps.items()}
     size = np.array(next(iter(maps.values())).shape, np.int64)
     np.savez(file, allow_pickle=False, **{SIZE: size}, **members)
@@ -44,11 +48,15 @@ def unpack(members: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 def _pack(values: NDArray[np.generic]) -> NDArray[np.uint8]:
     from pyarrow import Codec
 
-    planes = np.ascontiguousarray(np.ascontiguousarray(values).reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T)
+    planes = np.ascontiguousarray(
+        np.ascontiguousarray(values).reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
+    )
     return np.frombuffer(Codec("zstd", LEVEL).compress(planes, asbytes=True), np.uint8)
 
 
-def _unpack(packed: NDArray[np.generic], dtype: np.dtype, shape: tuple[int, int]) -> NDArray[np.generic]:
+def _unpack(
+    packed: NDArray[np.generic], dtype: np.dtype, shape: tuple[int, int]
+) -> NDArray[np.generic]:
     from pyarrow import Codec
 
     n_bytes = dtype.itemsize * shape[0] * shape[1]

@@ -1,8 +1,9 @@
 """Pickles of plain data, read as data; the script of the `SideProcess` for those of strangers.
 
-A pickle is a program. Here it finds no names but stand-ins for those that numpy's arrays are made by:
-no code of it runs, and numpy, which trusts what a state says, is given numbers alone. What a few bytes
-may claim beside that (a memo of 34 GB, a hash without end) ends with the process that reads them.
+A pickle is a program. Here it finds no names but stand-ins for those that numpy's arrays are made
+by: no code of it runs, and numpy, which trusts what a state says, is given numbers alone. What a
+few bytes may claim beside that (a memo of 34 GB, a hash without end) ends with the process that
+reads them.
 """
 
 import json
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_BYTES = 4 << 30  # of the process, its libraries among them
-LONGEST_ANSWER = 1 << 24  # signs; lists may share their items, so that few of them represent very many
+# signs; lists may share their items, so that few of them represent very many
+LONGEST_ANSWER = 1 << 24
 
 
 class _Type:
@@ -45,13 +47,17 @@ class _Array:
         self.values = _numbers(content, kind, shape, "F" if is_fortran else "C")
 
 
-def _from_buffer(content: bytes, kind: _Type, shape: tuple[int, ...], order: Literal["C", "F"]) -> _Array:
+def _from_buffer(
+    content: bytes, kind: _Type, shape: tuple[int, ...], order: Literal["C", "F"]
+) -> _Array:
     array = _Array()
     array.values = _numbers(content, kind, shape, order)
     return array
 
 
-def _numbers(content: bytes, kind: _Type, shape: tuple[int, ...], order: Literal["C", "F"]) -> NDArray[np.generic]:
+def _numbers(
+    content: bytes, kind: _Type, shape: tuple[int, ...], order: Literal["C", "F"]
+) -> NDArray[np.generic]:
     return np.frombuffer(content, np.dtype(kind.kind)).reshape(shape, order=order)
 
 

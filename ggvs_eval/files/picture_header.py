@@ -9,12 +9,22 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 EXIF_ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # these are shown with width and height exchanged
 UPRIGHT = 1
 SEEN_THROUGH = (
-    "without the alpha of transparent pixels: the colour beneath counts, composite it over the background to change that"
+    "without the alpha of transparent pixels: the colour beneath counts, composite it "
+    "over the background to change that"
 )
 PNG_DEPTH_AT = 24
 # A JPEG has its tags in a segment before its pixels, a PNG in a chunk anywhere.
 EXIF_MARK, EXIF_WITHIN, EXIF_CHUNK = b"Exif\0", 1 << 20, b"eXIf"
-COLOURS = {"1": "grey", "L": "grey", "LA": "grey", "I": "grey", "I;16": "grey", "P": "palette", "PA": "palette", "CMYK": "CMYK"}
+COLOURS = {
+    "1": "grey",
+    "L": "grey",
+    "LA": "grey",
+    "I": "grey",
+    "I;16": "grey",
+    "P": "palette",
+    "PA": "palette",
+    "CMYK": "CMYK",
+}
 
 
 class PictureHeader(NamedTuple):
@@ -49,7 +59,11 @@ class PictureHeader(NamedTuple):
     @property
     def conversions(self) -> list[str]:
         """Changes by reading it as 8-bit RGB, in a few words each."""
-        ignored = [f"as if they were sRGB, though their colour profile is {self.profile}"] if self.profile else []
+        ignored = (
+            [f"as if they were sRGB, though their colour profile is {self.profile}"]
+            if self.profile
+            else []
+        )
         return [*conversions_to_rgb8(self.colours, self.bits, self.has_alpha), *ignored]
 
 
@@ -60,7 +74,10 @@ def conversions_to_rgb8(colours: str, bits: int, has_alpha: bool) -> list[str]:
         >>> conversions_to_rgb8("grey", 16, False)
         ['grey, the same level in all three channels', 'cut from 16 to 8 bits']
     """
-    how = {"grey": "grey, the same level in all three channels", "palette": "in the colours of a palette"}
+    how = {
+        "grey": "grey, the same level in all three channels",
+        "palette": "in the colours of a palette",
+    }
     changes = [how.get(colours, f"converted from {colours}")] if colours else []
     changes += [f"cut from {bits} to 8 bits"] if bits > 8 else []
     return changes + (["without an alpha channel"] if has_alpha else [])
@@ -85,11 +102,23 @@ def read_picture_header(path: Path) -> PictureHeader:
         has_alpha = image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
         bits = _bits(path) if form == "PNG" else 8
         profile = _profile(image.info.get("icc_profile") or b"")
-        return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), bits, has_alpha, orientation, profile)
+        return PictureHeader(
+            form=form,
+            width=width,
+            height=height,
+            colours=COLOURS.get(image.mode, ""),
+            bits=bits,
+            has_alpha=has_alpha,
+            orientation=orientation,
+            profile=profile,
+        )
 
 
 def transparent_share(path: Path) -> float:
-    """Return the share of a picture's pixels that are not opaque; 0 if it cannot be decoded, which the reader reports."""
+    """Return the share of a picture's pixels that are not opaque.
+
+    0 if it cannot be decoded, which the reader reports.
+    """
     import numpy as np
     from PIL import Image
 
@@ -101,7 +130,10 @@ def transparent_share(path: Path) -> float:
 
 
 def read_orientation(encoded: bytes) -> int:
-    """Return the EXIF orientation of a picture's bytes; 1 if they say none, or nothing that makes sense."""
+    """Return the EXIF orientation of a picture's bytes.
+
+    1 if they say none, or nothing that makes sense.
+    """
     from PIL import Image
 
     if EXIF_MARK not in encoded[:EXIF_WITHIN] and EXIF_CHUNK not in encoded:
@@ -130,7 +162,11 @@ def _profile(encoded: bytes) -> str:
     from PIL import ImageCms
 
     try:
-        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(encoded))).strip() if encoded else ""
+        name = (
+            ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(encoded))).strip()
+            if encoded
+            else ""
+        )
     except Exception:  # as above
         return ""
     return "" if "srgb" in name.lower() else name[:80]

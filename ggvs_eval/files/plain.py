@@ -13,7 +13,8 @@ KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, 
 LARGEST_TEXT = 32 << 20
 LARGEST_TOML = 4 << 20  # its parser takes a second per MB
 LARGEST_PICTURE = 256 << 20
-# What was never written reads as zeros: a file that is nothing else takes minutes to read and holds no frame.
+# What was never written reads as zeros: a file that is nothing else takes minutes to read and holds
+# no frame.
 SPARSE_FROM, SPARSE_SHARE, BLOCK_BYTES = 1 << 30, 0.01, 512
 # Byte order marks: Notepad and PowerShell begin their texts with one, PowerShell 5 writes UTF-16.
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -59,10 +60,16 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")
         raise _refused(path, f"{kind} instead of a regular file")
     if most_bytes is not None and status.st_size > most_bytes:
-        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, above the limit of {most_bytes / 1e6:.0f} MB")
+        raise _refused(
+            path, f"{status.st_size / 1e6:.0f} MB, above the limit of {most_bytes / 1e6:.0f} MB"
+        )
     on_disk = status.st_blocks * BLOCK_BYTES
     if status.st_size > SPARSE_FROM and on_disk < SPARSE_SHARE * status.st_size:
-        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB are on the disk: a sparse file")
+        raise _refused(
+            path,
+            f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB are on the disk: a "
+            f"sparse file",
+        )
     return status.st_size
 
 
@@ -78,7 +85,9 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
-    """Return the text (UTF-8, or what its byte order mark says) of a regular file; line ends become those of Unix.
+    """Return the text (UTF-8, or what its byte order mark says) of a regular file.
+
+    Line ends become those of Unix.
 
     Raises:
         OSError: as of `check_plain`.
@@ -94,13 +103,19 @@ def coding_of(content: bytes) -> str:
 
 
 def comma_hint(word: str) -> str:
-    """Hint that a message adds to a word that is no number because of its decimal comma; empty for others.
+    """Hint that a message adds to a word that is no number because of its decimal comma.
+
+    Empty for others.
 
     Examples:
         >>> comma_hint("86,88")
         ', which has a decimal comma: write 86.88'
     """
-    return f", which has a decimal comma: write {word.replace(',', '.')}" if DECIMAL_COMMA.fullmatch(word) else ""
+    return (
+        f", which has a decimal comma: write {word.replace(',', '.')}"
+        if DECIMAL_COMMA.fullmatch(word)
+        else ""
+    )
 
 
 def parse_numbers(text: str, first_line: int = 1) -> list[list[float]]:
@@ -115,7 +130,9 @@ def parse_numbers(text: str, first_line: int = 1) -> list[list[float]]:
             rows.append([float(word) for word in words])
         except ValueError:
             wrong = next(word for word in words if not _is_number(word))
-            raise ValueError(f"line {line}: no number in {wrong!r:.60}{comma_hint(wrong)}") from None
+            raise ValueError(
+                f"line {line}: no number in {wrong!r:.60}{comma_hint(wrong)}"
+            ) from None
     return rows
 
 
@@ -139,5 +156,7 @@ def _refused(path: Path, reason: str) -> NotPlainError:
 
 
 def ffmpeg_name(path: Path) -> str:
-    """Return a path as FFmpeg takes it: what precedes a colon in a relative one would be a protocol."""
+    """Return a path as FFmpeg takes it: what precedes a colon in a relative one would be a
+    protocol.
+    """
     return os.path.abspath(path)

@@ -8,9 +8,15 @@ if TYPE_CHECKING:
 
 
 def open_templates(folder: Path) -> "Environment":
-    """Return the templates of a folder: everything is escaped, and what is not given is an error."""
+    """Return the templates of a folder: everything is escaped, and what is not given is an
+    error.
+    """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     return Environment(
-        loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(folder),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )

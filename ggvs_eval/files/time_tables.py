@@ -22,13 +22,16 @@ def read_rows(file: Path) -> Rows:
     """Return the cells of a table, those of its head first; empty if it cannot be read.
 
     Reading:
-        JSON is a list of times, a list of tables of one row, or a table of lists; an array has a row or a column per frame,
-        whichever are more.
+        JSON is a list of times, a list of tables of one row, or a table of lists; an array has a
+        row or a column per frame, whichever are more.
     """
     try:
         if file.suffix == ".npy":
             values = np.atleast_2d(map_array(file))
-            return [[*map(repr, row)] for row in (values.T if values.shape[0] < values.shape[1] else values).tolist()]
+            return [
+                [*map(repr, row)]
+                for row in (values.T if values.shape[0] < values.shape[1] else values).tolist()
+            ]
         text = read_plain_text(file)
         if file.suffix == ".json":
             return _json_rows(json.loads(text))

@@ -25,14 +25,17 @@ def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
     try:
         return load_toml(text)
     except (ValueError, RecursionError) as reason:
-        raise error(f"{file}: not valid TOML: {reason}; correct it, or restore a complete copy") from None
+        raise error(
+            f"{file}: not valid TOML: {reason}; correct it, or restore a complete copy"
+        ) from None
 
 
 def load_toml(text: str) -> dict[str, Any]:
     """`tomllib.loads` for untrusted texts.
 
     Raises:
-        ValueError: not TOML, or keys of more parts than the parser, quadratic in them, can read in seconds.
+        ValueError: not TOML, or keys of more parts than the parser, quadratic in them, can read in
+            seconds.
         RecursionError: nested too deep.
     """
     if LONG_KEY.search(text):
@@ -50,16 +53,22 @@ def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
         text = read_plain_text(path, LARGEST_TOML)
     except (OSError, UnicodeDecodeError) as error_of_file:
         reason = why_unread(error_of_file) if isinstance(error_of_file, OSError) else error_of_file
-        raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from error_of_file
+        raise error(
+            f"{path}: wanted a TOML file, got: {reason}; restore or write it"
+        ) from error_of_file
     return parse_toml(text, str(path), error)
 
 
-def build_table(kind: type[Table], values: dict[str, Any], file: str, section: str, error: type[GgvsError]) -> Table:
+def build_table(
+    kind: type[Table], values: dict[str, Any], file: str, section: str, error: type[GgvsError]
+) -> Table:
     """Turn a TOML table into a dataclass, checking names and types.
 
     Args:
-        kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...], X | None and dataclasses.
-        error: raised for unknown, missing and mistyped keys; the message has all of them, with the nearest known ones.
+        kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...],
+            X | None and dataclasses.
+        error: raised for unknown, missing and mistyped keys; the message has all of them, with the
+            nearest known ones.
 
     Examples:
         >>> from ggvs_eval.errors import ProtocolError
@@ -68,7 +77,7 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
         Frames(start=3, count=2)
         >>> build_table(Frames, {"strat": 3}, "mine.toml", "frames.", ProtocolError)
         Traceback (most recent call last):
-        ggvs_eval.errors.ProtocolError: mine.toml: unknown key frames.strat; did you mean frames.start?
+        ggvs_eval.errors.ProtocolError: mine.toml: unknown key frames.strat; ... frames.start?
     """
     faults: list[str] = []
     table = _table(kind, values, section, faults)
@@ -78,7 +87,9 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
 
 def key_of(name: str) -> str:
-    """The key of a field in a file: its name, without the underscore that distinguishes it from a Python keyword (``as_``)."""
+    """The key of a field in a file: its name, without the underscore that distinguishes it from a
+    Python keyword (``as_``).
+    """
     return name.removesuffix("_")
 
 
@@ -92,12 +103,17 @@ def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list
         if key not in fields
     ]
     defaults = (dataclasses.MISSING, dataclasses.MISSING)
-    required = [name for name, field in fields.items() if (field.default, field.default_factory) == defaults]
+    required = [
+        name for name, field in fields.items() if (field.default, field.default_factory) == defaults
+    ]
     if missing := [f"{section}{name}" for name in required if name not in values]:
-        faults.append(f"missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
+        faults.append(
+            f"missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}"
+        )
     entries = {key: value for key, value in values.items() if key in fields}
     converted = {
-        fields[key].name: _convert(hints[fields[key].name], value, f"{section}{key}", faults) for key, value in entries.items()
+        fields[key].name: _convert(hints[fields[key].name], value, f"{section}{key}", faults)
+        for key, value in entries.items()
     }
     return typing.cast(Table, None) if faults else kind(**converted)
 
@@ -110,14 +126,19 @@ def _convert(field_type: Any, value: Any, key: str, faults: list[str]) -> Any:
     if dataclasses.is_dataclass(field_type) and isinstance(value, dict):
         return _table(typing.cast(type, field_type), value, f"{key}.", faults)
     if origin is tuple and isinstance(value, list):
-        return tuple(_convert(arguments[0], item, f"{key}[{index}]", faults) for index, item in enumerate(value))
+        return tuple(
+            _convert(arguments[0], item, f"{key}[{index}]", faults)
+            for index, item in enumerate(value)
+        )
     if origin is Literal and value in arguments:
         return value
     if field_type is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
         return float(value)
     if origin is None and type(value) is field_type and field_type is not float:
         return value
-    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(field_type)
+    expected = (
+        f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(field_type)
+    )
     faults.append(f"{key} must be {expected}, got {value!r:.80}")
     return None
 
@@ -126,4 +147,6 @@ def _type_name(field_type: Any) -> str:
     if typing.get_origin(field_type) is tuple:
         return f"a list of {_type_name(typing.get_args(field_type)[0])}"
     names = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
-    return names.get(field_type, "a table" if dataclasses.is_dataclass(field_type) else str(field_type))
+    return names.get(
+        field_type, "a table" if dataclasses.is_dataclass(field_type) else str(field_type)
+    )

@@ -1,4 +1,7 @@
-"""Reads trained weights: tensors by name and their configuration, from safetensors or a checkpoint; nothing in it is run."""
+"""Reads trained weights: tensors by name and their configuration, from safetensors or a checkpoint.
+
+Nothing in it is run.
+"""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -11,7 +14,8 @@ from torch import Tensor, nn
 
 from ggvs_eval.errors import WeightsError
 
-CONFIGURATION_NOTE = "configuration"  # in the header of safetensors: which of a network's sizes they belong to
+# in the header of safetensors: which of a network's sizes they belong to
+CONFIGURATION_NOTE = "configuration"
 PARALLEL_PREFIX = "module."  # torch's DataParallel puts it before every name
 
 
@@ -19,23 +23,30 @@ def read_tensors(path: Path, *keys: str, model: str = "a network") -> dict[str, 
     """Return the tensors of a weights file by name.
 
     Args:
-        keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``. Safetensors of this package hold
-            them under names that begin with the keys, ``net.``.
+        keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``.
+            Safetensors of this package hold them under names that begin with the keys, ``net.``.
 
     Returns:
         Name -> tensor, names without ``module.``.
 
     Raises:
-        WeightsError: absent, damaged, more than tensors and plain values inside, or no state dict under those keys.
+        WeightsError: absent, damaged, more than tensors and plain values inside, or no state dict
+            under those keys.
     """
     if path.suffix == ".safetensors":
         prefix = "".join(f"{key}." for key in keys)
         stored = _safetensors(path, model)
-        tensors = {name.removeprefix(prefix): tensor for name, tensor in stored.items() if name.startswith(prefix)}
+        tensors = {
+            name.removeprefix(prefix): tensor
+            for name, tensor in stored.items()
+            if name.startswith(prefix)
+        }
     else:
         tensors = _state_dict(_checkpoint(path, model), keys, path)
     if not tensors:
-        raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {model}")
+        raise WeightsError(
+            f"{path}: wanted tensors{_under(keys)}, got none; give weights of {model}"
+        )
     return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in tensors.items()}
 
 
@@ -43,23 +54,32 @@ def configuration_of(path: Path, names: Collection[str], model: str) -> str | No
     """Return the configuration recorded in a weights file.
 
     Returns:
-        The name, None if the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
+        The name, None if the file says nothing: a checkpoint of the authors, or a copy of it, which
+        is the full one.
     """
     name = read_notes(path).get(CONFIGURATION_NOTE)
     if name is not None and name not in names:
-        raise WeightsError(f"{path}: wanted a configuration of {model} ({', '.join(names)}), got {name}; train it again")
+        raise WeightsError(
+            f"{path}: wanted a configuration of {model} ({', '.join(names)}), got {name}; train it "
+            f"again"
+        )
     return name
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """Return the texts in the header of safetensors; none of a checkpoint, or if there is no file."""
+    """Return the texts in the header of safetensors.
+
+    None of a checkpoint, or if there is no file.
+    """
     if path.suffix != ".safetensors" or not path.is_file():
         return {}
     try:
         with safe_open(path, "pt") as file:
             return dict(file.metadata() or {})
     except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
+        raise WeightsError(
+            f"{path}: damaged, or not safetensors ({error}); fetch it again"
+        ) from error
 
 
 def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, model: str) -> None:
@@ -69,10 +89,17 @@ def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, m
         tensors: what `read_tensors` found; half precision is widened.
     """
     require_shapes(tensors, network, path, model)
-    network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
+    network.load_state_dict(
+        {
+            name: tensor.float() if tensor.is_floating_point() else tensor
+            for name, tensor in tensors.items()
+        }
+    )
 
 
-def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, model: str) -> None:
+def require_shapes(
+    tensors: Mapping[str, Tensor], network: nn.Module, path: Path, model: str
+) -> None:
     """Refuse tensors that are not a network's own by name and shape, every one of them.
 
     Args:
@@ -81,7 +108,11 @@ def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path
     """
     own_shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    different = sorted(name for name in own_shapes.keys() | shapes.keys() if own_shapes.get(name) != shapes.get(name))
+    different = sorted(
+        name
+        for name in own_shapes.keys() | shapes.keys()
+        if own_shapes.get(name) != shapes.get(name)
+    )
     if different:
         name = different[0]
         raise WeightsError(
@@ -96,7 +127,9 @@ def _safetensors(path: Path, model: str) -> dict[str, Tensor]:
     except OSError as error:
         raise _unreadable(path, model, error) from error
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
+        raise WeightsError(
+            f"{path}: damaged, or not safetensors ({error}); fetch it again"
+        ) from error
 
 
 def _checkpoint(path: Path, model: str) -> Any:
@@ -104,26 +137,37 @@ def _checkpoint(path: Path, model: str) -> Any:
         return torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         raise _unreadable(path, model, error) from error
-    except Exception as error:  # a damaged pickle makes torch stumble anywhere: IndexError, AssertionError, struct.error, ...
+    # a damaged pickle makes torch stumble anywhere: IndexError, AssertionError, struct.error, ...
+    except Exception as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise WeightsError(f"{path}: wanted a file of tensors only, got {reason}; give a checkpoint with a state dict") from error
+        raise WeightsError(
+            f"{path}: wanted a file of tensors only, got {reason}; give a checkpoint with a state "
+            f"dict"
+        ) from error
 
 
 def _unreadable(path: Path, model: str, error: OSError) -> WeightsError:
-    return WeightsError(f"{path}: wanted weights of {model}, got no readable file ({error.strerror or error})")
+    return WeightsError(
+        f"{path}: wanted weights of {model}, got no readable file ({error.strerror or error})"
+    )
 
 
 def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Tensor]:
     for key in keys:
         if not isinstance(values, Mapping) or key not in values:
-            content = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
+            content = (
+                ", ".join(map(str, values))
+                if isinstance(values, Mapping)
+                else type(values).__name__
+            )
             raise WeightsError(f"{path}: wanted a state dict{_under(keys)}, got {content[:200]}")
         values = values[key]
     if not isinstance(values, Mapping) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in values.items()
     ):
         raise WeightsError(
-            f"{path}: wanted a state dict (name -> tensor){_under(keys)}, got a {type(values).__name__} with non-tensor values"
+            f"{path}: wanted a state dict (name -> tensor){_under(keys)}, got a "
+            f"{type(values).__name__} with non-tensor values"
         )
     return dict(values)
 

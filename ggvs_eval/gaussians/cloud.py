@@ -1,4 +1,5 @@
-"""A cloud of 3D Gaussians as the parameters that an optimiser moves, and the spherical harmonics of its colours.
+"""A cloud of 3D Gaussians as the parameters that an optimiser moves, and the spherical harmonics of
+its colours.
 
 Harmonics are real, in the order and with the signs of 3D Gaussian splatting, degrees 0 to 4.
 """
@@ -11,22 +12,27 @@ import torch
 from ggvs_eval.errors import RenderError
 
 CONSTANT = 0.5 / sqrt(pi)  # the harmonic of degree 0
-HIGHEST_DEGREE = 4  # of the spherical harmonics; files of 3D Gaussian splatting stop at 3, MVSplat predicts 4
+# of the spherical harmonics; files of 3D Gaussian splatting stop at 3, MVSplat predicts 4
+HIGHEST_DEGREE = 4
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianCloud:
-    """Anisotropic Gaussians in the parameters of 3D Gaussian splatting (Kerbl et al. 2023), one row per Gaussian.
+    """Anisotropic Gaussians in the parameters of 3D Gaussian splatting (Kerbl et al. 2023), one row
+    per Gaussian.
 
     Attributes:
         means: centres in the world, (N, 3).
-        log_scales: natural logarithms of the standard deviations along the Gaussian's own axes, world units, (N, 3).
+        log_scales: natural logarithms of the standard deviations along the Gaussian's own axes,
+            world units, (N, 3).
         quaternions: rotation from its own axes to the world, w first, of any length but 0, (N, 4).
         opacity_logits: opacity before the sigmoid, (N,).
-        sh: coefficients of the colour's spherical harmonics, constant one first, (N, (degree + 1)^2, 3).
+        sh: coefficients of the colour's spherical harmonics, constant one first, (N, (degree +
+            1)^2, 3).
 
     Raises:
-        RenderError: the shapes do not fit each other, or the tensors differ in device or in kind of float.
+        RenderError: the shapes do not fit each other, or the tensors differ in device or in kind of
+            float.
 
     Examples:
         >>> cloud = GaussianCloud.of_points(torch.zeros(5, 3), torch.full((5, 3), 0.5), scale=0.1)
@@ -46,17 +52,31 @@ class GaussianCloud:
         terms = self.sh.shape[1] if self.sh.ndim == 3 else 0
         if terms not in [(degree + 1) ** 2 for degree in range(HIGHEST_DEGREE + 1)]:
             raise RenderError(
-                f"cloud of Gaussians: wanted sh (N, (degree + 1)^2, 3) of degree 0 to {HIGHEST_DEGREE}, got "
-                f"{tuple(self.sh.shape)}"
+                "cloud of Gaussians: wanted sh (N, (degree + 1)^2, 3) of degree 0 to "
+                f"{HIGHEST_DEGREE}, got {tuple(self.sh.shape)}"
             )
-        shapes = {"means": (3,), "log_scales": (3,), "quaternions": (4,), "opacity_logits": (), "sh": (terms, 3)}
+        shapes = {
+            "means": (3,),
+            "log_scales": (3,),
+            "quaternions": (4,),
+            "opacity_logits": (),
+            "sh": (terms, 3),
+        }
         for name, shape in shapes.items():
             tensor = getattr(self, name)
             if tensor.shape != (count, *shape):
-                raise RenderError(f"cloud of Gaussians: wanted {name} {(count, *shape)}, got {tuple(tensor.shape)}")
-            if tensor.device != self.means.device or tensor.dtype != self.means.dtype or not tensor.is_floating_point():
                 raise RenderError(
-                    f"cloud of Gaussians: wanted {name} in {self.means.dtype} on {self.means.device} like the means, got "
+                    f"cloud of Gaussians: wanted {name} {(count, *shape)}, got "
+                    f"{tuple(tensor.shape)}"
+                )
+            if (
+                tensor.device != self.means.device
+                or tensor.dtype != self.means.dtype
+                or not tensor.is_floating_point()
+            ):
+                raise RenderError(
+                    f"cloud of Gaussians: wanted {name} in {self.means.dtype} on "
+                    f"{self.means.device} like the means, got "
                     f"{tensor.dtype} on {tensor.device}"
                 )
 
@@ -71,15 +91,32 @@ class GaussianCloud:
 
     def parameters(self) -> dict[str, torch.Tensor]:
         """Return the five tensors by name, in the order of the fields."""
-        return {name: getattr(self, name) for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh")}
+        return {
+            name: getattr(self, name)
+            for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+        }
 
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "GaussianCloud":
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
+    ) -> "GaussianCloud":
         """Return the cloud on another device or in another kind of float."""
-        return replace(self, **{name: tensor.to(device=device, dtype=dtype) for name, tensor in self.parameters().items()})
+        return replace(
+            self,
+            **{
+                name: tensor.to(device=device, dtype=dtype)
+                for name, tensor in self.parameters().items()
+            },
+        )
 
     @classmethod
     def of_points(
-        cls, means: torch.Tensor, colours: torch.Tensor, *, scale: float | torch.Tensor, opacity: float = 0.1, degree: int = 0
+        cls,
+        means: torch.Tensor,
+        colours: torch.Tensor,
+        *,
+        scale: float | torch.Tensor,
+        opacity: float = 0.1,
+        degree: int = 0,
     ) -> "GaussianCloud":
         """Round Gaussians of given colours, the same from everywhere.
 
@@ -102,7 +139,8 @@ class GaussianCloud:
 
 
 class AntialiasedCloud(GaussianCloud):
-    """Gaussians whose opacities shrink as the low-pass filter of the image widens them, for which they were trained.
+    """Gaussians whose opacities shrink as the low-pass filter of the image widens them, for which
+    they were trained.
 
     This is Mip-Splatting's 2D filter as gsplat, brush and 3D Gaussian splatting draw it.
     """
@@ -124,8 +162,8 @@ def harmonic_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
         (N, (degree + 1)^2); term l^2 + l + m is that of degree l and order m.
 
     Reading:
-        The Condon-Shortley phase is included: terms of odd order are negative along positive x and y, as in files of 3D Gaussian
-        splatting.
+        The Condon-Shortley phase is included: terms of odd order are negative along positive x and
+        y, as in files of 3D Gaussian splatting.
 
     Examples:
         >>> harmonic_basis(torch.tensor([[0.0, 0.0, 1.0]]), degree=1)[0, ::2].tolist()
@@ -138,25 +176,45 @@ def harmonic_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
         terms += [-first * y, first * z, -first * x]
     if degree > 1:
         second = sqrt(15 / (4 * pi))
-        terms += [second * x * y, -second * y * z, sqrt(5 / (16 * pi)) * (3 * z * z - 1), -second * x * z]
+        terms += [
+            second * x * y,
+            -second * y * z,
+            sqrt(5 / (16 * pi)) * (3 * z * z - 1),
+            -second * x * z,
+        ]
         terms += [second / 2 * (x * x - y * y)]
     if degree > 2:
         outer, inner = sqrt(35 / (32 * pi)), sqrt(21 / (32 * pi))
-        terms += [-outer * y * (3 * x * x - y * y), sqrt(105 / (4 * pi)) * x * y * z, -inner * y * (5 * z * z - 1)]
+        terms += [
+            -outer * y * (3 * x * x - y * y),
+            sqrt(105 / (4 * pi)) * x * y * z,
+            -inner * y * (5 * z * z - 1),
+        ]
         terms += [sqrt(7 / (16 * pi)) * z * (5 * z * z - 3), -inner * x * (5 * z * z - 1)]
         terms += [sqrt(105 / (16 * pi)) * z * (x * x - y * y), -outer * x * (x * x - 3 * y * y)]
     if degree > 3:
-        outer, middle, inner = 3 / 4 * sqrt(35 / pi), 3 / 4 * sqrt(35 / (2 * pi)), 3 / 4 * sqrt(5 / pi)
+        outer, middle, inner = (
+            3 / 4 * sqrt(35 / pi),
+            3 / 4 * sqrt(35 / (2 * pi)),
+            3 / 4 * sqrt(5 / pi),
+        )
         terms += [outer * x * y * (x * x - y * y), -middle * y * z * (3 * x * x - y * y)]
         terms += [inner * x * y * (7 * z * z - 1), -inner / sqrt(2) * y * z * (7 * z * z - 3)]
-        terms += [3 / 16 / sqrt(pi) * (z * z * (35 * z * z - 30) + 3), -inner / sqrt(2) * x * z * (7 * z * z - 3)]
-        terms += [inner / 2 * (x * x - y * y) * (7 * z * z - 1), -middle * x * z * (x * x - 3 * y * y)]
+        terms += [
+            3 / 16 / sqrt(pi) * (z * z * (35 * z * z - 30) + 3),
+            -inner / sqrt(2) * x * z * (7 * z * z - 3),
+        ]
+        terms += [
+            inner / 2 * (x * x - y * y) * (7 * z * z - 1),
+            -middle * x * z * (x * x - 3 * y * y),
+        ]
         terms += [outer / 4 * (x * x * (x * x - 3 * y * y) - y * y * (3 * x * x - y * y))]
     return torch.stack(terms, -1)
 
 
 def harmonic_colours(sh: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Return the colours of Gaussians seen along unit directions, (N, 3): the sum of harmonics plus 0.5, not below 0.
+    """Return the colours of Gaussians seen along unit directions, (N, 3): the sum of harmonics plus
+    0.5, not below 0.
 
     Args:
         sh: (N, (degree + 1)^2, 3).
@@ -167,7 +225,8 @@ def harmonic_colours(sh: torch.Tensor, directions: torch.Tensor) -> torch.Tensor
 
 
 def turned_harmonics(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
-    """Coefficients of the same colours after a rotation: what was seen along d is seen along ``rotation @ d``.
+    """Coefficients of the same colours after a rotation: what was seen along d is seen along
+    ``rotation @ d``.
 
     Args:
         sh: (N, (degree + 1)^2, 3).
@@ -184,13 +243,19 @@ def turned_harmonics(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """
     degree = int(sh.shape[1] ** 0.5) - 1
     directions = _spread(rotation.device)
-    before, after = harmonic_basis(directions @ rotation.double(), degree), harmonic_basis(directions, degree)
-    mixing = torch.linalg.lstsq(after, before).solution  # harmonics of turned directions are sums of harmonics: exact
+    before, after = (
+        harmonic_basis(directions @ rotation.double(), degree),
+        harmonic_basis(directions, degree),
+    )
+    # harmonics of turned directions are sums of harmonics: exact
+    mixing = torch.linalg.lstsq(after, before).solution
     return torch.einsum("ij,njc->nic", mixing.to(sh.dtype), sh)
 
 
 def _spread(device: torch.device) -> torch.Tensor:
-    """Return the unit vectors, enough to distinguish all harmonics, (100, 3): a spiral of golden angles."""
+    """Return the unit vectors, enough to distinguish all harmonics, (100, 3): a spiral of golden
+    angles.
+    """
     number = torch.arange(100, dtype=torch.float64, device=device)
     z = 1 - (2 * number + 1) / len(number)
     angle, radius = number * pi * (3 - sqrt(5)), (1 - z * z).sqrt()
@@ -198,5 +263,7 @@ def _spread(device: torch.device) -> torch.Tensor:
 
 
 def coefficients_of(colour: torch.Tensor) -> torch.Tensor:
-    """Return the constant coefficient that shows a colour, same shape: the inverse of `harmonic_colours` at degree 0."""
+    """Return the constant coefficient that shows a colour, same shape: the inverse of
+    `harmonic_colours` at degree 0.
+    """
     return (colour - 0.5) / CONSTANT

@@ -1,1 +1,3 @@
-"""Jobs: folders of results, computed once, in processes, on dask or in parts, and their progress."""
+"""Jobs: folders of results, computed once, in processes, on dask or in parts, and their
+progress.
+"""

@@ -1,6 +1,9 @@
-"""Engines that run jobs, in processes of this machine or on workers of dask; the results are the same bits.
+"""Engines that run jobs, in processes of this machine or on workers of dask.
 
-In processes of this machine, no more run at once than its memory holds, and again where a process was killed.
+The results are the same bits.
+
+In processes of this machine, no more run at once than its memory holds, and again where a process
+was killed.
 """
 
 import os
@@ -72,7 +75,8 @@ class Engine:
     ) -> Iterator[tuple[int, Result | LostJob]]:
         """Do the work for every item and yield (index, result) in the order in which they end.
 
-        An item whose process dies is done again; one that takes its process with it every time is a `LostJob`.
+        An item whose process dies is done again; one that takes its process with it every time is a
+        `LostJob`.
 
         Args:
             work: a module-level function or a `functools.partial` of one.
@@ -82,15 +86,21 @@ class Engine:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")
         if self.engine == "dask":
             checked = partial(_with_same_code, work, package_digest()) if self.scheduler else work
-            on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](checked, items, self.jobs, self.scheduler)
+            on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](
+                checked, items, self.jobs, self.scheduler
+            )
             return on_dask
         if self.scheduler:
-            raise RenderError(f"--scheduler {self.scheduler}: wanted --engine dask with it, got processes; add it")
+            raise RenderError(
+                f"--scheduler {self.scheduler}: wanted --engine dask with it, got processes; add it"
+            )
 
         return run_in_processes(work, items, self.jobs, apart)
 
     def place(self, path: Path) -> Path:
-        """Return a path as every worker understands it: those of dask may work in another folder."""
+        """Return a path as every worker understands it: those of dask may work in another
+        folder.
+        """
         if self.engine == "dask" and (reason := ENGINES.why_absent("dask")):
             raise AbsentPartError(reason)  # before anything is read
         return path.resolve() if self.engine == "dask" else path
@@ -99,7 +109,10 @@ class Engine:
 def _with_same_code(work: Callable[[Item], Result], code: str, item: Item) -> Result:
     """Do one item on a worker, which must have the caller's code."""
     if code != package_digest():
-        raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
+        raise RenderError(
+            f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the "
+            f"same"
+        )
     return work(item)
 
 
@@ -114,10 +127,12 @@ def as_engine(workers: Workers) -> Engine:
 def run_in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int, apart: bool = False
 ) -> Iterator[tuple[int, Result | LostJob]]:
-    """Do the work for every item; with one worker, or one item that need not be apart, in this very process.
+    """Do the work for every item.
 
-    A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
-    then tried again alone, to find the one that ran out of memory.
+    With one worker, or one item that need not be apart, in this very process.
+
+    A killed process (the kernel's way to say that memory is out) takes the whole pool with it.
+    Every item that was in hand is then tried again alone, to find the one that ran out of memory.
 
     Args:
         work: a module-level function or a `functools.partial` of one.
@@ -162,15 +177,19 @@ def _run_pool(
 
 def _fits(running: int) -> bool:
     """Return whether another job fits into memory; the first may always run."""
-    return running == 0 or has_room(running, [child.pid for child in active_children() if child.pid])
+    return running == 0 or has_room(
+        running, [child.pid for child in active_children() if child.pid]
+    )
 
 
 def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
-    """Try an item in a separate process, which no other item can end; its errors are printed when it has ended.
+    """Try an item in a separate process, which no other item can end.
+
+    Its errors are printed when it has ended.
 
     Raises:
-        RenderError: the process died of an exception that every other process would raise too: before the work began, since what
-            the work raises comes back alone.
+        RenderError: the process died of an exception that every other process would raise too:
+            before the work began, since what the work raises comes back alone.
     """
     exit_code = None
     for _ in range(TRIES_ALONE):
@@ -192,8 +211,14 @@ def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
                 raise RenderError(f"worker processes cannot start: {reason}; {start_remedy()}")
     if exit_code and exit_code > 0:
         last = "".join(text.strip().splitlines()[-1:]) or "it printed nothing"
-        return LostJob(f"its process ended, run alone, {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
-    return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")
+        return LostJob(
+            f"its process ended, run alone, {TRIES_ALONE + 1} times, at last with status "
+            f"{exit_code} ({last})"
+        )
+    return LostJob(
+        f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may "
+        f"need more memory"
+    )
 
 
 def start_remedy() -> str:
@@ -203,7 +228,9 @@ def start_remedy() -> str:
 
 
 def last_error(text: str) -> str:
-    r"""Return the exception that a process ended with, in one line, out of what it printed; empty if it ended with none.
+    r"""Return the exception that a process ended with, in one line, out of what it printed.
+
+    Empty if it ended with none.
 
     Examples:
         >>> last_error("Traceback (most recent call last):\n  File ...\nKeyError: 'cam00'\n")
@@ -228,14 +255,20 @@ def _errors_into(file: IO[bytes]) -> Iterator[None]:
         os.close(original)
 
 
-def run_all(work: Callable[[Item], object], items: Sequence[Item], workers: Workers, description: str) -> None:
-    """Do the work for every item; the first that fails ends it, and a second call does what is missing.
+def run_all(
+    work: Callable[[Item], object], items: Sequence[Item], workers: Workers, description: str
+) -> None:
+    """Do the work for every item.
+
+    The first that fails ends it, and a second call does what is missing.
 
     Args:
-        work: writes what is missing of an item; a module-level function or a `functools.partial` of one.
+        work: writes what is missing of an item; a module-level function or a `functools.partial` of
+            one.
 
     Raises:
-        RenderError: the work took its process with it as often as it was tried, or a worker has other code than this process.
+        RenderError: the work took its process with it as often as it was tried, or a worker has
+            other code than this process.
         Exception: what the work itself raised.
     """
     if not items:

@@ -1,4 +1,6 @@
-"""This machine: free memory, of the machine or the container, the time of known work, and how long tasks take by it."""
+"""This machine: free memory, of the machine or the container, the time of known work, and how long
+tasks take by it.
+"""
 
 import threading
 from collections import defaultdict
@@ -18,7 +20,8 @@ MEMINFO = Path("/proc/meminfo")
 SELF = Path("/proc/self")
 KIB = 1024
 SAMPLED_EVERY_S = 0.05
-REFERENCE_S = 0.40  # of the probe on the machine for which times are given: two quiet cores of a Xeon with AVX-512
+# of the probe on the machine for which times are given: two quiet cores of a Xeon with AVX-512
+REFERENCE_S = 0.40
 SIZE, PRODUCTS, MATCHES = 768, 60, 10
 
 
@@ -26,19 +29,27 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
     """Return the memory available without swapping; infinite where the system does not report it.
 
     Args:
-        cgroup: the account of the container (control groups, version 2); its limit may be lower than the machine's.
+        cgroup: the account of the container (control groups, version 2); its limit may be lower
+            than the machine's.
     """
     machine = _field(meminfo, "MemAvailable:", KIB)
     try:
-        limit, usage = float((cgroup / "memory.max").read_text()), float((cgroup / "memory.current").read_text())
+        limit, usage = (
+            float((cgroup / "memory.max").read_text()),
+            float((cgroup / "memory.current").read_text()),
+        )
     except (OSError, ValueError):  # no control groups, or a limit of "max"
         return machine
-    cached = _field(cgroup / "memory.stat", "inactive_file", 1)  # files the kernel drops when memory is asked for
+    # files the kernel drops when memory is asked for
+    cached = _field(cgroup / "memory.stat", "inactive_file", 1)
     return min(machine, limit - usage + (cached if cached != float("inf") else 0))
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
-    """Sum the resident memory of processes, and find the highest peak of any one; 0 if the system does not report it."""
+    """Sum the resident memory of processes, and find the highest peak of any one.
+
+    0 if the system does not report it.
+    """
     total, most = 0.0, 0.0
     for pid in pids:
         status = Path(f"/proc/{pid}/status")
@@ -49,10 +60,11 @@ def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
 
 
 class PeakMemory:
-    """Highest resident memory of this process while a block of code runs, looked at every `SAMPLED_EVERY_S`.
+    """Highest resident memory of this process while a block of code runs, looked at every
+    `SAMPLED_EVERY_S`.
 
-    The kernel's own peak would be exact; it is of the process's whole life, and to reset it would hide from `has_room` what
-    earlier jobs have needed.
+    The kernel's own peak would be exact; it is of the process's whole life, and to reset it would
+    hide from `has_room` what earlier jobs have needed.
 
     Attributes:
         bytes: the peak; None if the system does not report it.
@@ -84,7 +96,8 @@ class PeakMemory:
 
 
 def has_room(running: int, pids: Iterable[int]) -> bool:
-    """Return whether one more job fits next to those that run, if each needs as much as the largest has needed so far.
+    """Return whether one more job fits next to those that run, if each needs as much as the largest
+    has needed so far.
 
     Args:
         running: jobs that are being worked on; what they have not taken yet is kept for them.
@@ -94,7 +107,10 @@ def has_room(running: int, pids: Iterable[int]) -> bool:
 
 
 def _field(file: Path, name: str, unit_bytes: int) -> float:
-    """Return a number from a file of `name number` lines, in bytes; infinite where it is not there."""
+    """Return a number from a file of `name number` lines, in bytes.
+
+    Infinite where it is not there.
+    """
     try:
         for line in file.read_text().splitlines():
             if line.startswith(name):
@@ -106,12 +122,17 @@ def _field(file: Path, name: str, unit_bytes: int) -> float:
 
 @cache
 def pace() -> float:
-    """Seconds that work takes here for each second on the reference machine; cores that are busy now count as slow ones."""
+    """Seconds that work takes here for each second on the reference machine.
+
+    Cores that are busy now count as slow ones.
+    """
     return probe_s() / REFERENCE_S
 
 
 def probe_s() -> float:
-    """Seconds of the work that evaluations mostly do: products of matrices, as of convolutions, and semi-global matching."""
+    """Seconds of the work that evaluations mostly do: products of matrices, as of convolutions, and
+    semi-global matching.
+    """
     random = np.random.default_rng(0)
     matrix = random.random((SIZE, SIZE), np.float32)
     image = random.integers(0, 256, (360, 480), np.uint8)
@@ -137,7 +158,9 @@ class Estimate:
     unknown: int
 
 
-def estimate(left: Iterable[Result], history: Iterable[Made] = (), pace: Callable[[], float] = pace) -> Estimate:
+def estimate(
+    left: Iterable[Result], history: Iterable[Made] = (), pace: Callable[[], float] = pace
+) -> Estimate:
     """Return the time that results take.
 
     Args:
@@ -161,7 +184,8 @@ def _paces(history: Iterable[Made]) -> dict[str, float]:
     """Return the mean seconds of a file for each word of pace."""
     took: dict[str, list[float]] = defaultdict(list)
     for result in history:
-        seconds = read_record(result.folder).get("seconds")  # of each stage of each file, or of all together
+        # of each stage of each file, or of all together
+        seconds = read_record(result.folder).get("seconds")
         if seconds:
             total = sum(map(sum, seconds.values())) if isinstance(seconds, dict) else seconds
             took[result.pace or result.kind].append(total / max(result.count, 1))

@@ -6,7 +6,13 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from multiprocessing import active_children, connection, get_context, parent_process
@@ -23,29 +29,40 @@ NO_SEMAPHORES = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENO
 
 
 def in_threads(work: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-    """Yield what is made of each item, by a thread per CPU: codecs and OpenCV let go of the interpreter."""
+    """Yield what is made of each item, by a thread per CPU: codecs and OpenCV let go of the
+    interpreter.
+    """
     with ThreadPoolExecutor(usable_cpus()) as pool:
         yield from pool.map(work, items)
 
 
 def worker_pool(workers: int) -> Executor:
-    """Return a pool of fresh processes, each with its share of the CPUs; this very process where there can be no other.
+    """Return a pool of fresh processes, each with its share of the CPUs.
+
+    This very process where there can be no other.
 
     Processes are spawned, not forked: threads and libraries of the parent would not survive a fork.
     """
     threads = max(usable_cpus() // workers, 1)
     try:
-        return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+        return _WorkerPool(
+            workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,)
+        )
     except (OSError, NotImplementedError) as error:
         if isinstance(error, OSError) and error.errno not in NO_SEMAPHORES:
             raise
-        print(f"ggvs-eval: {error or 'no semaphores'} (/dev/shm): running in one process", file=sys.stderr)
+        print(
+            f"ggvs-eval: {error or 'no semaphores'} (/dev/shm): running in one process",
+            file=sys.stderr,
+        )
         return _ThisProcess()
 
 
 @contextmanager
 def kept_workers() -> Iterator[None]:
-    """Let everything inside share its processes: to start some for each stage takes as long as a short stage."""
+    """Let everything inside share its processes: to start some for each stage takes as long as a
+    short stage.
+    """
     global _keeper
     if _keeper is not None:
         yield
@@ -60,7 +77,9 @@ def kept_workers() -> Iterator[None]:
 
 @contextmanager
 def borrowed_pool(workers: int, most: int) -> Iterator[Executor]:
-    """Give a pool of N processes: the one that is kept, if any, or a new one that ends with the block."""
+    """Give a pool of N processes: the one that is kept, if any, or a new one that ends with the
+    block.
+    """
     if _keeper is None:
         with worker_pool(workers) as pool:
             yield pool
@@ -103,14 +122,24 @@ class _ThisProcess(Executor):
 
 
 class _WorkerPool(ProcessPoolExecutor):
-    """A pool that ends at once when its user is interrupted; what its workers were filling is swept by the next call."""
+    """A pool that ends at once when its user is interrupted.
+
+    What its workers were filling is swept by the next call.
+    """
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        """Submit work; workers, which may be started here, never see Ctrl-C: it is the parent that ends them."""
+        """Submit work; workers, which may be started here, never see Ctrl-C: it is the parent that
+        ends them.
+        """
         with _without_interrupts():
             return super().submit(work, *arguments, **named)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
         """Wait for running work; after Ctrl-C end it."""
         if kind in (KeyboardInterrupt, SystemExit):
             for child in active_children():
@@ -120,10 +149,12 @@ class _WorkerPool(ProcessPoolExecutor):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Put Ctrl-C and SIGTERM off until the end; a process that is started meanwhile never gets Ctrl-C.
+    """Put Ctrl-C and SIGTERM off until the end.
 
-    The mask alone is not enough: another thread may take the signal, and Python would handle it here anyway, between the
-    start of a process and sending its input.
+    A process that is started meanwhile never gets Ctrl-C.
+
+    The mask alone is not enough: another thread may take the signal, and Python would handle it
+    here anyway, between the start of a process and sending its input.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,4 +1,6 @@
-"""One part of a sweep, for one of several machines: whole views, which no measure needs another view for."""
+"""One part of a sweep, for one of several machines: whole views, which no measure needs another
+view for.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +13,9 @@ Unit = TypeVar("Unit")
 
 @dataclass(frozen=True)
 class Shard:
-    """Every n-th view of a sweep; the shards of one n have no view in common and together all of them.
+    """Every n-th view of a sweep.
+
+    The shards of one n have no view in common and together all of them.
 
     Attributes:
         number: from 1 to `count`; 0 has no view, so that it only prepares what all others need.
@@ -25,8 +29,16 @@ class Shard:
     def parse(cls, text: str) -> "Shard":
         """``i/n`` as it is typed."""
         number, _, count = text.partition("/")
-        if not (number.isdecimal() and count.isdecimal() and int(number) <= int(count) and int(count) > 0):
-            raise ProtocolError(f"--shard {text}: wanted i/n with i from 1 to n, such as 2/5, or 0/n to prepare only")
+        if not (
+            number.isdecimal()
+            and count.isdecimal()
+            and int(number) <= int(count)
+            and int(count) > 0
+        ):
+            raise ProtocolError(
+                f"--shard {text}: wanted i/n with i from 1 to n, such as 2/5, or 0/n to prepare "
+                f"only"
+            )
         return cls(int(number), int(count))
 
     @property

@@ -1,9 +1,10 @@
 """Compiled kernels and the two settings they share: the number of threads and the instruction set.
 
-Results depend on neither, bit for bit: work is cut by image regions, not by threads, and no instruction set contracts or reorders
-arithmetic. Convolutions of the blending network and its refiner, IBRNet's layers, deformation fields and VGG take fused
-multiply-adds, which the baseline has from the C library at a tenth of the speed. The environment variables ``GGVS_EVAL_THREADS``
-and ``GGVS_EVAL_SIMD`` (baseline, avx2, avx512) set the defaults.
+Results depend on neither, bit for bit: work is cut by image regions, not by threads, and no
+instruction set contracts or reorders arithmetic. Convolutions of the blending network and its
+refiner, IBRNet's layers, deformation fields and VGG take fused multiply-adds, which the baseline
+has from the C library at a tenth of the speed. The environment variables ``GGVS_EVAL_THREADS`` and
+``GGVS_EVAL_SIMD`` (baseline, avx2, avx512) set the defaults.
 """
 
 import os
@@ -30,7 +31,9 @@ def set_threads(count: int) -> None:
 
 
 def get_threads() -> int:
-    """Return the number of threads of a kernel: as set, else ``GGVS_EVAL_THREADS``, else the CPUs this process may use."""
+    """Return the number of threads of a kernel: as set, else ``GGVS_EVAL_THREADS``, else the CPUs
+    this process may use.
+    """
     if "threads" not in _settings:
         setting = os.environ.get("GGVS_EVAL_THREADS", "")
         if setting and not setting.isdecimal():
@@ -40,7 +43,8 @@ def get_threads() -> int:
 
 
 def side_by_side(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Do two pieces of work that need nothing of each other at the same time, each filling the gaps of the other.
+    """Do two pieces of work that need nothing of each other at the same time, each filling the gaps
+    of the other.
 
     With one thread for all kernels it is one after the other. Errors of either are raised.
     """
@@ -52,18 +56,25 @@ def side_by_side(first: Callable[[], First], second: Callable[[], Second]) -> tu
 
 
 def set_simd_level(name: str) -> None:
-    """Use one instruction set of `SIMD_LEVELS` from now on; meant for tests and for comparing machines.
+    """Use one instruction set of `SIMD_LEVELS` from now on.
+
+    Meant for tests and for comparing machines.
 
     Raises:
         ValueError: unknown name, or this processor lacks it.
     """
     if name not in available_levels():
-        raise ValueError(f"instruction set: wanted one of {', '.join(available_levels())} on this processor, got {name!r}")
+        raise ValueError(
+            f"instruction set: wanted one of {', '.join(available_levels())} on this processor, "
+            f"got {name!r}"
+        )
     _settings["level"] = SIMD_LEVELS.index(name)
 
 
 def get_simd_level() -> str:
-    """Return the instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this processor."""
+    """Return the instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this
+    processor.
+    """
     if "level" not in _settings:
         set_simd_level(os.environ.get("GGVS_EVAL_SIMD") or available_levels()[-1])
     return SIMD_LEVELS[_settings["level"]]

@@ -16,7 +16,9 @@ def idle_bytes() -> int: ...
 def forget_idle() -> None: ...
 def empty(shape: Sequence[int]) -> Image: ...
 def splat(
-    sources: Sequence[tuple[Pinhole, Matrix, Image, Image | Image8, Image | None]],  # camera, to_target, depth, features, extra
+    sources: Sequence[
+        tuple[Pinhole, Matrix, Image, Image | Image8, Image | None]
+    ],  # camera, to_target, depth, features, extra
     target: Pinhole,
     near: float,
     scale: float,
@@ -25,11 +27,15 @@ def splat(
     threads: int,
     level: int,
 ) -> tuple[Image, Image, Image]: ...
-def fusion_weights(depth: Image, tau: float, depth_noise: float, threads: int, level: int) -> Image: ...
+def fusion_weights(
+    depth: Image, tau: float, depth_noise: float, threads: int, level: int
+) -> Image: ...
 def ray_march(
     target: Pinhole,
     range: tuple[float, float],
-    views: Sequence[tuple[Pinhole, Matrix, Image, Image, Image | None, float]],  # camera, from_target, depth, weight, gain, limit
+    views: Sequence[
+        tuple[Pinhole, Matrix, Image, Image, Image | None, float]
+    ],  # camera, from_target, depth, weight, gain, limit
     tau: float,
     step_fraction: float,
     min_step: float,
@@ -42,7 +48,8 @@ def warp(
     target_depth: Image,
     source: Pinhole,
     from_target: Matrix,
-    image: Image | tuple[Image8, Image8],  # or now and before, whose difference over 255 is looked up
+    image: Image
+    | tuple[Image8, Image8],  # or now and before, whose difference over 255 is looked up
     source_depth: Image,
     forgiven: Forgiven,
     tolerance: float,
@@ -51,7 +58,9 @@ def warp(
     level: int,
 ) -> tuple[Image, Image]: ...
 def colour_change(now: Image8, before: Image8, cells: tuple[int, int], threads: int) -> Image: ...
-def mix_depth(depth: Image, history: Image, mask: Image, tolerance: float, threads: int) -> Image: ...
+def mix_depth(
+    depth: Image, history: Image, mask: Image, tolerance: float, threads: int
+) -> Image: ...
 def weighted_mean(
     views: Sequence[tuple[Image, Image, float]],  # colour, weight, factor
     size: tuple[int, ...],
@@ -68,7 +77,9 @@ def largest_feature(
 def look_up(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, float]],  # camera, from_target, image, depth, .., factor
+    views: Sequence[
+        tuple[Pinhole, Matrix, Image8, Image, Forgiven, float]
+    ],  # camera, from_target, image, depth, .., factor
     background: Image,
     tolerance: float,
     threads: int,
@@ -77,7 +88,9 @@ def look_up(
 def settle_depth(
     target: Pinhole,
     fused: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, float]],  # camera, from_target, image, alpha, depth, weight
+    views: Sequence[
+        tuple[Pinhole, Matrix, Image8, Image, Image, float]
+    ],  # camera, from_target, image, alpha, depth, weight
     tolerance: float,
     least_alpha: float,
     least_share: float,
@@ -95,12 +108,16 @@ def remember(
     past_depth: Image,
     threads: int,
 ) -> None: ...
-def recur(now: Image, past: Image, cells: Image, threads: int) -> Image: ...  # cells as recur.hpp has them
+def recur(
+    now: Image, past: Image, cells: Image, threads: int
+) -> Image: ...  # cells as recur.hpp has them
 def push_pull(colour: Image, known: NDArray[np.bool_], out: Image, threads: int) -> None: ...
 def register_views(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]],  # as look_up has them, splat, its alpha
+    views: Sequence[
+        tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]
+    ],  # as look_up has them, splat, its alpha
     tolerance: float,
     faint: float,
     threads: int,
@@ -121,7 +138,9 @@ def overview(
 def register_and_overview(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]],  # as register_views takes them
+    views: Sequence[
+        tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]
+    ],  # as register_views takes them
     tolerance: float,
     faint: float,
     depths: Sequence[Image],
@@ -131,7 +150,8 @@ def register_and_overview(
     threads: int,
     level: int,
 ) -> tuple[
-    tuple[Image, Image, Image], tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image], Image]
+    tuple[Image, Image, Image],
+    tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image], Image],
 ]: ...  # what register_views gives, and what overview does
 def network_inputs(
     colours: Image,
@@ -175,24 +195,34 @@ def refine(
     small: Image,
     scale: int,
     first_feature: int,
-    layers: Sequence[tuple[Image, Image, int]],  # packed filters, bias, after; last weights (before, filled up), bias, after
+    layers: Sequence[
+        tuple[Image, Image, int]
+    ],  # packed filters, bias, after; last weights (before, filled up), bias, after
     threads: int,
     level: int,
 ) -> Image: ...
-def pack_filters(weights: Image, bias: Image) -> tuple[Image, Image]: ...  # (after, before, 3, 3), (after), for refine and unet
+def pack_filters(
+    weights: Image, bias: Image
+) -> tuple[Image, Image]: ...  # (after, before, 3, 3), (after), for refine and unet
 def unet(
     channels: Image,
-    layers: Sequence[tuple[Image, Image, Image, Image]],  # packed filters, bias, gain, shift, in order of use
+    layers: Sequence[
+        tuple[Image, Image, Image, Image]
+    ],  # packed filters, bias, gain, shift, in order of use
     last: tuple[Image, Image],  # weights (outputs, width), bias
     epsilon: float,
     threads: int,
     level: int,
 ) -> Image: ...
 def pool_views(
-    layers: Sequence[tuple[Image, Image]],  # weights (before, padded), bias (padded), see pooling_kernel.packed_layers
+    layers: Sequence[
+        tuple[Image, Image]
+    ],  # weights (before, padded), bias (padded), see pooling_kernel.packed_layers
     norm: Image,  # (2, 16)
     closeness: float,
-    views: Sequence[tuple[Image, Image, Image, Image]],  # image (H, W, 3), features (h, w, 32), projection (3, 4), centre (3)
+    views: Sequence[
+        tuple[Image, Image, Image, Image]
+    ],  # image (H, W, 3), features (h, w, 32), projection (3, 4), centre (3)
     centre: Image,  # (3,)
     rays: Image,  # (R, 3)
     depths: Image,  # (R, S)

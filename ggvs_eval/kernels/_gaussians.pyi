@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float32]
-# means (N, 3), log_scales (N, 3), quaternions (N, 4), opacity_logits (N,), sh (N, terms, 3), screen offsets (N, 2) or None
+# means (N, 3), log_scales (N, 3), quaternions (N, 4), opacity_logits (N,), sh (N, terms, 3), screen
+# offsets (N, 2) or None
 Cloud = tuple[Rows | None, ...]
 TILE: int
 
@@ -21,5 +22,11 @@ def render(
     level: int,
 ) -> tuple[Rows, Rows, Rows, NDArray[np.int32], Frame]: ...
 def gradients(
-    frame: Frame, cloud: Cloud, by_colour: Rows, by_transmittance: Rows, by_depth: Rows, threads: int, level: int
+    frame: Frame,
+    cloud: Cloud,
+    by_colour: Rows,
+    by_transmittance: Rows,
+    by_depth: Rows,
+    threads: int,
+    level: int,
 ) -> tuple[Rows, Rows, Rows, Rows, Rows, Rows]: ...

@@ -29,7 +29,14 @@ def aggregate(
     costs: Bytes, guide: Bytes, small_step: int, large_steps: Bytes, threads: int, level: int
 ) -> tuple[Image, Image]: ...
 def match_blocks(
-    left: Bytes, right: Bytes, count: int, radius: int, small_step: int, large_step: int, threads: int, level: int
+    left: Bytes,
+    right: Bytes,
+    count: int,
+    radius: int,
+    small_step: int,
+    large_step: int,
+    threads: int,
+    level: int,
 ) -> NDArray[np.int16]: ...
 def sample_matches(right: Bytes, disparity: Image) -> Image: ...
 def refine_matches(
@@ -44,8 +51,20 @@ def refine_matches(
     noise: float,
 ) -> Image: ...
 def weighted_median(
-    surface: Image, guide: Bytes, planes: int, radius: int, colour_scale: float, tolerance: float, threads: int
+    surface: Image,
+    guide: Bytes,
+    planes: int,
+    radius: int,
+    colour_scale: float,
+    tolerance: float,
+    threads: int,
 ) -> Image: ...
 def enlarge_to_edges(
-    depth: Image, confidence: Image, small_image: Bytes, image: Bytes, smooth: Image, same_surface: float, threads: int
+    depth: Image,
+    confidence: Image,
+    small_image: Bytes,
+    image: Bytes,
+    smooth: Image,
+    same_surface: float,
+    threads: int,
 ) -> tuple[Image, Image]: ...

@@ -1,7 +1,8 @@
 """Arithmetic with the same bits on every processor, for what is filmed and for cameras.
 
-BLAS sums in an order that depends on the processor, and so do OpenCV's filters; elementary functions of NumPy and the C library
-differ in their last bit. Here every sum has one order, and functions are made of operations that IEEE 754 rounds one way.
+BLAS sums in an order that depends on the processor, and so do OpenCV's filters; elementary
+functions of NumPy and the C library differ in their last bit. Here every sum has one order, and
+functions are made of operations that IEEE 754 rounds one way.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,8 @@ GAUSSIAN_REACH = 4
 
 
 def product(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Return the matrix product, (..., N, M) by (..., M, K), each sum from the first term to the last.
+    """Return the matrix product, (..., N, M) by (..., M, K), each sum from the first term to the
+    last.
 
     Examples:
         >>> product(np.diag([2.0, 3.0]), np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()
@@ -48,7 +50,10 @@ def unit(vectors: NDArray[Any]) -> NDArray[Any]:
 def inverse(matrix: Array) -> Array:
     """Return the inverse of a matrix (3, 3), by its cofactors."""
     after, before = [1, 2, 0], [2, 0, 1]
-    cofactors = matrix[after][:, after] * matrix[before][:, before] - matrix[after][:, before] * matrix[before][:, after]
+    cofactors = (
+        matrix[after][:, after] * matrix[before][:, before]
+        - matrix[after][:, before] * matrix[before][:, after]
+    )
     return cofactors.T / (cofactors[0] * matrix[0]).sum()
 
 
@@ -93,13 +98,20 @@ def rotation_about(angle_rad: float, axis: Sequence[float] | Array) -> Array:
 
 
 def rotation_by(vector: Array) -> Array:
-    """Return the rotation matrix of a rotation vector: its axis, as long as its angle in radians, (3, 3)."""
+    """Return the rotation matrix of a rotation vector: its axis, as long as its angle in radians,
+    (3, 3).
+    """
     return rotation_about(float(length(vector)), vector)
 
 
 def rotation_vector(matrix: Array) -> Array:
     """Return the rotation vector of a rotation matrix that turns by less than half a turn, (3,)."""
-    skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
+    skew = (
+        np.array(
+            [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+        )
+        / 2
+    )
     sine, cosine = float(length(skew)), (matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1) / 2
     return skew * (2 * arctan(sine / (1 + cosine)) / sine if sine else 1.0)
 
@@ -128,7 +140,9 @@ def blur(image: NDArray[Any], sigma_px: float) -> Array32:
     image = np.asarray(image, np.float32)
     for _ in range(2):
         padded = np.pad(image, [(reach, reach)] + [(0, 0)] * (image.ndim - 1), mode="reflect")
-        image = _weighted_sum((padded[k : k + len(image)] for k in range(2 * reach + 1)), weights).swapaxes(0, 1)
+        image = _weighted_sum(
+            (padded[k : k + len(image)] for k in range(2 * reach + 1)), weights
+        ).swapaxes(0, 1)
     return np.ascontiguousarray(image)
 
 
@@ -138,15 +152,20 @@ def _means(lines: Array32, count: int) -> Array32:
     begin = np.arange(count) * len(lines) / count
     if size == int(size):
         step = int(size)
-        return _weighted_sum((lines[k::step] for k in range(step)), np.full(step, 1 / size, np.float32))
-    index = np.floor(begin + 1e-9).astype(int)[:, None] + np.arange(int(np.ceil(size)) + 1)  # (count, taps)
+        return _weighted_sum(
+            (lines[k::step] for k in range(step)), np.full(step, 1 / size, np.float32)
+        )
+    # (count, taps)
+    index = np.floor(begin + 1e-9).astype(int)[:, None] + np.arange(int(np.ceil(size)) + 1)
     share = np.minimum(index + 1, begin[:, None] + size) - np.maximum(index, begin[:, None])
     weights = _column(np.clip(share, 0, None) / size, lines.ndim)
     return _weighted_sum((lines.take(tap, axis=0, mode="clip") for tap in index.T), weights)
 
 
 def _interpolated(lines: Array32, count: int) -> Array32:
-    """Cubic interpolation of lines, (N, ...), at the middles of `count` equal parts, (count, ...)."""
+    """Cubic interpolation of lines, (N, ...), at the middles of `count` equal parts,
+    (count, ...).
+    """
     place = (np.arange(count) + 0.5) * len(lines) / count - 0.5
     first = np.floor(place)
     index = first[:, None].astype(int) + np.arange(-1, 3)

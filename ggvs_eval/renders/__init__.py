@@ -1,1 +1,3 @@
-"""Renders from elsewhere: folders, videos, arrays and archives of frames become a method of a run."""
+"""Renders from elsewhere: folders, videos, arrays and archives of frames become a method of
+a run.
+"""

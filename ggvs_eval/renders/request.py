@@ -1,6 +1,7 @@
 """Fit of renders to a run: its views, frames and sizes, and the captured frames.
 
-Rendered frames that are pictures on disk are RGB in PNG, linked as it is; everything else is decoded once, and it is said.
+Rendered frames that are pictures on disk are RGB in PNG, linked as it is; everything else is
+decoded once, and it is said.
 """
 
 import os
@@ -16,7 +17,12 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.files.picture_header import SEEN_THROUGH, PictureHeader, read_picture_header, transparent_share
+from ggvs_eval.files.picture_header import (
+    SEEN_THROUGH,
+    PictureHeader,
+    read_picture_header,
+    transparent_share,
+)
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
 from ggvs_eval.progress import counted
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path
@@ -63,7 +69,9 @@ class RenderedView(Protocol):
         """Frame numbers that there are, ascending."""
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
-        """Return frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
+        """Return frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48
+        instead of 128 x 96``.
+        """
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
         """Put these frames into a folder as ``<frame>.png``; returns remarks for people."""
@@ -101,7 +109,10 @@ def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> Fr
     for view in views:
         file = frame_path(run.truth(view), frames.start)
         if not file.is_file():
-            raise RenderError(f"{file}: wanted a captured frame to compare with, got none; run `ggvs-eval prepare`")
+            raise RenderError(
+                f"{file}: wanted a captured frame to compare with, got none; run `ggvs-eval "
+                f"prepare`"
+            )
         sizes[view] = read_header(file).size
     return FrameRequest(
         label=label,
@@ -143,23 +154,46 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
         numbers = rendered.numbers if rendered else ()
         faults = rendered.faults(request.sizes[view]) if rendered else {}
         doubles = renders.doubles.get(view, {})
-        absent = [frame for frame in request.frames if frame not in numbers and frame not in doubles]
+        absent = [
+            frame for frame in request.frames if frame not in numbers and frame not in doubles
+        ]
         if absent:
-            missing.append(f"{request.label} in {view} lacks {_absent(absent, view, renders, request)}")
+            missing.append(
+                f"{request.label} in {view} lacks {_absent(absent, view, renders, request)}"
+            )
         if doubles:
-            example = f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; give a folder with one of each"
+            example = (
+                f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; give a "
+                "folder with one of each"
+            )
             faulty.append(f"{request.label} in {view}: {as_ranges(sorted(doubles))} ({example})")
         by_fault: dict[str, list[int]] = defaultdict(list)
         for frame, fault in faults.items():
             by_fault[fault].append(frame)
-        faulty += [f"{request.label} in {view}: {as_ranges(frames)} ({fault})" for fault, frames in by_fault.items()]
+        faulty += [
+            f"{request.label} in {view}: {as_ranges(frames)} ({fault})"
+            for fault, frames in by_fault.items()
+        ]
         good = tuple(frame for frame in numbers if frame not in faults)
         if good:
             usable[view] = good
-    owners = {extra: [name for name in request.cameras if re.search(as_word(name), extra)] for extra in renders.extras}
-    strays = {extra: names[0] for extra, names in owners.items() if len(names) == 1 and names[0] not in request.views}
+    owners = {
+        extra: [name for name in request.cameras if re.search(as_word(name), extra)]
+        for extra in renders.extras
+    }
+    strays = {
+        extra: names[0]
+        for extra, names in owners.items()
+        if len(names) == 1 and names[0] not in request.views
+    }
     extras = tuple(extra for extra in renders.extras if extra not in strays)
-    return Fit(usable, tuple(missing), tuple(faulty), extras, tuple(name for name in request.cameras if name in strays.values()))
+    return Fit(
+        usable=usable,
+        missing=tuple(missing),
+        faulty=tuple(faulty),
+        extras=extras,
+        untested=tuple(name for name in request.cameras if name in strays.values()),
+    )
 
 
 def as_word(name: str) -> str:
@@ -168,9 +202,19 @@ def as_word(name: str) -> str:
 
 
 def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequest) -> str:
-    """Return the frames that are not there, how they would be numbered, and what is there instead."""
-    numbered = f" (numbered {as_ranges([frame + renders.first for frame in frames])})" if renders.first else ""
-    lacking = f"all {len(frames)} frames" if len(frames) == len(request.frames) else as_ranges(frames) + numbered
+    """Return the frames that are not there, how they would be numbered, and what is there
+    instead.
+    """
+    numbered = (
+        f" (numbered {as_ranges([frame + renders.first for frame in frames])})"
+        if renders.first
+        else ""
+    )
+    lacking = (
+        f"all {len(frames)} frames"
+        if len(frames) == len(request.frames)
+        else as_ranges(frames) + numbered
+    )
     return f"{lacking}, but {renders.hints[view]}" if renders.hints.get(view) else lacking
 
 
@@ -178,13 +222,21 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     """Refuse renders that are not exactly those wanted.
 
     Raises:
-        RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
+        RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are
+            counted.
     """
-    groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "fits no view and frame": fitted.extras}
+    groups = {
+        "frames are missing": fitted.missing,
+        "cannot be used": fitted.faulty,
+        "fits no view and frame": fitted.extras,
+    }
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
         if fitted.untested:
-            listed.append(f"there are renders of {', '.join(fitted.untested)}, which the protocol does not test")
+            listed.append(
+                f"there are renders of {', '.join(fitted.untested)}, which the protocol does not "
+                f"test"
+            )
         numbered = [numbering] if numbering else []
         advice = ", or score the rest by `ggvs-eval score --allow-partial`" if fitted.usable else ""
         raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{advice}")
@@ -194,14 +246,17 @@ def partial_text(fitted: Fit, request: FrameRequest) -> str:
     """Describe the frames behind a row of these renders; empty if none is missing."""
     if not fitted.usable:
         raise RenderError(
-            f"{request.label}: wanted frames of the protocol, got none: {_listed((*fitted.missing, *fitted.faulty))}; "
-            "check views, frames and size"
+            f"{request.label}: wanted frames of the protocol, got none: "
+            f"{_listed((*fitted.missing, *fitted.faulty))}; check views, frames and size"
         )
     n_whole = sum(len(frames) == len(request.frames) for frames in fitted.usable.values())
     n_frames = sum(len(frames) for frames in fitted.usable.values())
     if n_whole == len(request.views):
         return ""
-    text = f"{n_whole} of {len(request.views)} views complete, {n_frames} of {len(request.views) * len(request.frames)} frames"
+    text = (
+        f"{n_whole} of {len(request.views)} views complete, {n_frames} of "
+        f"{len(request.views) * len(request.frames)} frames"
+    )
     return f"{text} ({', '.join(fitted.usable)})"
 
 
@@ -215,12 +270,16 @@ def read_header(path: Path) -> PictureHeader:
     try:
         check_plain(path, LARGEST_PICTURE)
     except OSError as error:
-        raise RenderError(f"{path}: wanted a picture, got an unreadable file ({why_unread(error)}); restore it") from error
+        raise RenderError(
+            f"{path}: wanted a picture, got an unreadable file ({why_unread(error)}); restore it"
+        ) from error
     try:
         return read_picture_header(path)
     except Exception as error:  # the parser raises any exception on a damaged header
         contents = "other bytes or a damaged header"
-        raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
+        raise RenderError(
+            f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again"
+        ) from error
 
 
 def size_fault(size: tuple[int, int], expected_size: tuple[int, int]) -> str:
@@ -237,10 +296,13 @@ def size_fault(size: tuple[int, int], expected_size: tuple[int, int]) -> str:
         count, remainder = divmod(size[axis], expected_size[axis])
         if size[1 - axis] == expected_size[1 - axis] and count > 1 and not remainder:
             return f"{fault}: {count} pictures {lie}? cut out the rendered one"
-    if size[0] < expected_size[0] and abs(size[0] / expected_size[0] - size[1] / expected_size[1]) < 1 / min(expected_size):
+    if size[0] < expected_size[0] and abs(
+        size[0] / expected_size[0] - size[1] / expected_size[1]
+    ) < 1 / min(expected_size):
         return (
-            f"{fault}: to score them at this size, set synthesis.width = {size[0]}, synthesis.height = {size[1]} in a protocol; "
-            "sets of another size need one of their own"
+            f"{fault}: to score them at this size, set synthesis.width = {size[0]}, "
+            f"synthesis.height = {size[1]} in a protocol; sets of another size need one of their "
+            "own"
         )
     return fault
 
@@ -256,14 +318,21 @@ class PixelRemarks:
         """Look at the next frame, (H, W, 3)."""
         if not image.any():
             self._black.append(number)
-        elif np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2]):
+        elif np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(
+            image[..., 1], image[..., 2]
+        ):
             self._grey.append(number)
 
     def notes(self) -> list[str]:
         """Return a line for each kind of remarkable frame; none if there are none."""
-        black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
+        black, grey = (
+            f"{counted(len(some), 'frame')} ({as_ranges(some)})"
+            for some in (self._black, self._grey)
+        )
         notes = [f"{black} all zero (failed rendering?); scored anyway"] if self._black else []
-        return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
+        return notes + (
+            [f"{grey} grey: the same level is measured in all three channels"] if self._grey else []
+        )
 
 
 @dataclass(frozen=True)
@@ -289,7 +358,10 @@ class PictureView:
         return {number: fault for number, fault in faults.items() if fault}
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
-        """Link RGB in PNG under its frame numbers and decode the rest; says what was decoded, and what is black or grey."""
+        """Link RGB in PNG under its frame numbers and decode the rest.
+
+        Says what was decoded, and what is black or grey.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         converted: dict[str, list[int]] = defaultdict(list)
         remarks = PixelRemarks()
@@ -298,8 +370,13 @@ class PictureView:
             header, image = read_header(source), read_image(source)
             remarks.add(number, image)
             if header.form == "JPEG":
-                converted["of JPEG, decoded once to PNG: coding errors count against the method"].append(number)
-            for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # seen from its pixels
+                converted[
+                    "of JPEG, decoded once to PNG: coding errors count against the method"
+                ].append(number)
+            # seen from its pixels
+            for conversion in header._replace(
+                colours=header.colours.replace("grey", "")
+            ).conversions:
                 converted[f"read {conversion}"].append(number)
             if header.has_alpha and transparent_share(source):
                 converted[f"read {SEEN_THROUGH}"].append(number)
@@ -309,7 +386,10 @@ class PictureView:
                 source.replace(target)
             else:
                 os.symlink(source.resolve(), target)
-        notes = [f"{counted(len(frames), 'frame')} ({as_ranges(frames)}) {how}" for how, frames in converted.items()]
+        notes = [
+            f"{counted(len(frames), 'frame')} ({as_ranges(frames)}) {how}"
+            for how, frames in converted.items()
+        ]
         return notes + remarks.notes()
 
 
@@ -321,4 +401,8 @@ def _fault(path: Path, size: tuple[int, int]) -> str:
         return "no picture that can be read"
     if header.size != size:
         return size_fault(header.size, size)
-    return f"{header.bits} bits per channel instead of 8: convert them yourself" if header.bits > 8 else ""
+    return (
+        f"{header.bits} bits per channel instead of 8: convert them yourself"
+        if header.bits > 8
+        else ""
+    )

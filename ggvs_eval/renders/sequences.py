@@ -1,4 +1,6 @@
-"""Videos without a capture: the frames, or the depth maps, of one folder, video or array, in order."""
+"""Videos without a capture: the frames, or the depth maps, of one folder, video or array,
+in order.
+"""
 
 import zipfile
 from collections.abc import Iterator
@@ -28,8 +30,8 @@ def read_frames(path: Path) -> Iterator[Image8]:
     """Read the frames of a rendered video.
 
     Args:
-        path: a folder of .png or .jpg pictures, taken by the last number in their names; an .mp4 or .mov; a .npy or .npz of
-            (T, H, W, 3), uint8 or float in [0, 1].
+        path: a folder of .png or .jpg pictures, taken by the last number in their names; an .mp4 or
+            .mov; a .npy or .npz of (T, H, W, 3), uint8 or float in [0, 1].
 
     Yields:
         (H, W, 3) uint8.
@@ -50,9 +52,10 @@ def read_depths(path: Path) -> Iterator[Map]:
     """Read the maps of a depth video from any source.
 
     Args:
-        path: a folder of .png (8 or 16 bit), .tif, .pfm, .npy or .npz (its array ``depth``, or its only one), taken by the last
-            number in their names - a folder of `RUN/depth` is one; a .npy or .npz of (T, H, W); or an .mp4 or .mov, whose grey
-            levels are taken. Depth or disparity in any unit, 0 = unknown.
+        path: a folder of .png (8 or 16 bit), .tif, .pfm, .npy or .npz (its array ``depth``, or its
+            only one), taken by the last number in their names - a folder of `RUN/depth` is one; a
+            .npy or .npz of (T, H, W); or an .mp4 or .mov, whose grey levels are taken. Depth or
+            disparity in any unit, 0 = unknown.
 
     Yields:
         (H, W) float32.
@@ -65,27 +68,42 @@ def read_depths(path: Path) -> Iterator[Map]:
     elif path.suffix.lower() in ARRAY_SUFFIXES and path.is_file():
         stack = _load(path)
         if stack.ndim != 3 or not len(stack):
-            raise RenderError(f"{path}: wanted depth maps (T, H, W), got {stack.shape}; save them as one array, without channels")
+            raise RenderError(
+                f"{path}: wanted depth maps (T, H, W), got {stack.shape}; save them as one array, "
+                f"without channels"
+            )
         yield from (np.asarray(depth, np.float32) for depth in stack)
     else:
-        raise _nothing(path, "a folder of depth maps, an array (.npy, .npz) or a video (.mp4, .mov)")
+        raise _nothing(
+            path, "a folder of depth maps, an array (.npy, .npz) or a video (.mp4, .mov)"
+        )
 
 
 def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
     """Files of a folder in the order of the last numbers of their names."""
     files = [path for path in list_files(folder, suffixes) if path.is_file()]
     if not files:
-        raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), got none; name the folder that holds them")
+        raise RenderError(
+            f"{folder}: wanted {noun} ({', '.join(suffixes)}), got none; name the folder that "
+            f"holds them"
+        )
     try:
         numbers = numbers_in([file.stem for file in files])
     except ValueError as error:
-        raise RenderError(f"{folder}: wanted {noun} whose numbers can be read in one way, got {error}") from None
-    if len(set(numbers)) < len(files):
-        twice = next(file for file, number in zip(files, numbers, strict=True) if numbers.count(number) > 1)
         raise RenderError(
-            f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; give a folder with one kind of file"
+            f"{folder}: wanted {noun} whose numbers can be read in one way, got {error}"
+        ) from None
+    if len(set(numbers)) < len(files):
+        twice = next(
+            file for file, number in zip(files, numbers, strict=True) if numbers.count(number) > 1
         )
-    ordered = sorted(zip(numbers, files, strict=True), key=lambda pair: (pair[0] is not None, pair[0] or 0))
+        raise RenderError(
+            f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; give a folder "
+            f"with one kind of file"
+        )
+    ordered = sorted(
+        zip(numbers, files, strict=True), key=lambda pair: (pair[0] is not None, pair[0] or 0)
+    )
     return [file for _, file in ordered]
 
 
@@ -94,11 +112,16 @@ def _read_depth(path: Path) -> Map:
     if path.suffix.lower() in ARRAY_SUFFIXES:
         depth = _load(path)
         if depth.ndim != 2:
-            raise RenderError(f"{path}: wanted one depth map (H, W), got {depth.shape}; save it without channels")
+            raise RenderError(
+                f"{path}: wanted one depth map (H, W), got {depth.shape}; save it without channels"
+            )
         return np.asarray(depth, np.float32)
     picture = decode_image(read_encoded(path), cv2.IMREAD_UNCHANGED)
     if picture is None:
-        raise RenderError(f"{path}: wanted a depth map, got {path.stat().st_size} bytes that do not decode; write it again")
+        raise RenderError(
+            f"{path}: wanted a depth map, got {path.stat().st_size} bytes that do not decode; "
+            f"write it again"
+        )
     return _one_channel(path, picture)
 
 
@@ -109,7 +132,9 @@ def _one_channel(path: Path, picture: NDArray[np.generic]) -> Map:
         return values
     colours = values[..., :3]
     if (np.ptp(colours, axis=-1) > 2).any():
-        raise RenderError(f"{path}: wanted depth in one channel, got colours; save the values, not a colour map")
+        raise RenderError(
+            f"{path}: wanted depth in one channel, got colours; save the values, not a colour map"
+        )
     return np.ascontiguousarray(colours[..., 0])
 
 
@@ -124,17 +149,26 @@ def _load(path: Path) -> NDArray[Any]:
                 maps = unpack(archive)
             array = maps[MEMBER if MEMBER in maps else _member(path)]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise RenderError(f"{path}: wanted an array of numbers ({error}); save it with numpy.save") from error
+        raise RenderError(
+            f"{path}: wanted an array of numbers ({error}); save it with numpy.save"
+        ) from error
     if array.dtype.kind not in "fiu":
-        raise RenderError(f"{path}: wanted an array of numbers, got {array.dtype}; save it with numpy.save")
+        raise RenderError(
+            f"{path}: wanted an array of numbers, got {array.dtype}; save it with numpy.save"
+        )
     return array
 
 
 def _member(path: Path) -> str:
-    """Return the array of an archive that holds the frames: the only one, or the one called ``depth``."""
+    """Return the array of an archive that holds the frames: the only one, or the one called
+    ``depth``.
+    """
     members = npz_members(path)
     if len(members) != 1 and MEMBER not in members:
-        raise RenderError(f"{path}: wanted one array, got {', '.join(members) or 'none'}; save one, or call it {MEMBER}")
+        raise RenderError(
+            f"{path}: wanted one array, got {', '.join(members) or 'none'}; save one, or call it "
+            f"{MEMBER}"
+        )
     return members[0] if len(members) == 1 else MEMBER
 
 

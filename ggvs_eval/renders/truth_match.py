@@ -1,4 +1,6 @@
-"""Copies of the truth that came with renders, against the captured frames: they give the order, and test the protocol."""
+"""Copies of the truth that came with renders, against the captured frames: they give the order, and
+test the protocol.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,8 +17,9 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.renders.request import FrameRequest
 
-# On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one pixel by 0.9, another decoder
-# by 1.2, BT.601 taken for BT.709 by 2.3; studio range taken for full by 6.9, gamma 1.1 by 6.7, the next camera by 17.8.
+# On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one
+# pixel by 0.9, another decoder by 1.2, BT.601 taken for BT.709 by 2.3; studio range taken for full
+# by 6.9, gamma 1.1 by 6.7, the next camera by 17.8.
 LARGEST_DIFFERENCE = 4.0
 SAMPLED = 12
 LISTED = 20
@@ -44,23 +47,26 @@ def check_truth(claims: Claims, request: FrameRequest) -> float:
         Their mean difference in levels of 255.
 
     Raises:
-        RenderError: copies of another size, that are too far from the captured frame, or nearer to the next or previous instant;
-            the message names them and how far they are.
+        RenderError: copies of another size, that are too far from the captured frame, or nearer to
+            the next or previous instant; the message names them and how far they are.
     """
     checked = [_check_view(view, claims, request) for view in request.views]
     wrong = [complaint for _, complaints in checked for complaint in complaints]
     if wrong:
         more = f" and {len(wrong) - LISTED} more" if len(wrong) > LISTED else ""
         raise RenderError(
-            f"wanted copies of the captured frames next to these renders, got others: {'; '.join(wrong[:LISTED])}{more}; "
-            f"wanted at most {LARGEST_DIFFERENCE:g} levels of 255: check views, frames, size, colours, undistortion"
+            "wanted copies of the captured frames next to these renders, got others: "
+            f"{'; '.join(wrong[:LISTED])}{more}; wanted at most {LARGEST_DIFFERENCE:g} levels of "
+            "255: check views, frames, size, colours, undistortion"
         )
     levels = [level for view_levels, _ in checked for level in view_levels]
     return float(np.mean(levels)) if levels else 0.0
 
 
 def _check_view(view: str, claims: Claims, request: FrameRequest) -> tuple[list[float], list[str]]:
-    """Measure how far the copies of one view are from what they are said to show, and list what is wrong with them."""
+    """Measure how far the copies of one view are from what they are said to show, and list what is
+    wrong with them.
+    """
     frames = sorted(frame for claimed, frame in claims if claimed == view)
     distances = _ViewDistances(request, view)
     levels = [distances.add(read_image(claims[(view, frame)]), frame) for frame in frames]
@@ -81,12 +87,15 @@ def _describe(path: Path, view: str, frame: int, level: float) -> str:
 
 
 class _ViewDistances:
-    """Distances of one view's copies to the captured frames of the same instant, one earlier and one later."""
+    """Distances of one view's copies to the captured frames of the same instant, one earlier and
+    one later.
+    """
 
     def __init__(self, request: FrameRequest, view: str) -> None:
         self._request = request
         self._truth = lru_cache(maxsize=3)(lambda frame: request.truth(view, frame))
-        self._sums = {-1: np.zeros(2), 1: np.zeros(2)}  # offset -> distance at the instant, distance at the neighbour
+        # offset -> distance at the instant, distance at the neighbour
+        self._sums = {-1: np.zeros(2), 1: np.zeros(2)}
 
     def add(self, copy: Image8, frame: int) -> float:
         """Take the next copy; gives back its distance to the frame it is said to show."""
@@ -99,8 +108,15 @@ class _ViewDistances:
     def better_neighbour(self) -> str:
         """Note that the copies fit neighbouring instants clearly better; else empty."""
         for offset, (base, shifted) in self._sums.items():
-            if math.isfinite(base) and base > VISIBLE_DIFFERENCE and shifted < CLEARLY_BETTER * base:
-                return f"fit {'one frame later' if offset > 0 else 'one frame earlier'} better ({shifted:.1f} against {base:.1f})"
+            if (
+                math.isfinite(base)
+                and base > VISIBLE_DIFFERENCE
+                and shifted < CLEARLY_BETTER * base
+            ):
+                return (
+                    f"fit {'one frame later' if offset > 0 else 'one frame earlier'} better "
+                    f"({shifted:.1f} against {base:.1f})"
+                )
         return ""
 
 
@@ -124,30 +140,53 @@ def find_order(copies: Sequence[Path], request: FrameRequest) -> Order:
     """
     orders = list(_possible_orders(len(copies), request))
     if not orders:
-        counts = {len(views) * n for views in (request.views, request.views[:1]) for n in (len(request.frames), request.n_frames)}
+        counts = {
+            len(views) * n
+            for views in (request.views, request.views[:1])
+            for n in (len(request.frames), request.n_frames)
+        }
         raise RenderError(
-            f"wanted {', '.join(map(str, sorted(counts)))} pictures (all test views or one, the protocol's frames or the whole "
-            f"capture), got {len(copies)}; name the files <view>/<frame>.png"
+            f"wanted {', '.join(map(str, sorted(counts)))} pictures (all test views or one, the "
+            f"protocol's frames or the whole capture), got {len(copies)}; name the files "
+            "<view>/<frame>.png"
         )
     truth = lru_cache(maxsize=2 * SAMPLED)(request.truth)
     copy = lru_cache(maxsize=2 * SAMPLED)(lambda index: read_image(copies[index]))
     scored = []
     for order in orders:
         sample = _spread(sorted(order.places), SAMPLED)
-        scored.append((float(np.mean([difference(copy(index), truth(*order.places[index])) for index in sample])), order))
+        scored.append(
+            (
+                float(
+                    np.mean(
+                        [difference(copy(index), truth(*order.places[index])) for index in sample]
+                    )
+                ),
+                order,
+            )
+        )
     scored.sort(key=lambda pair: pair[0])
     best = scored[0][0]  # where nothing fits, `check_truth` says how far it is
-    if len(scored) > 1 and best <= LARGEST_DIFFERENCE and scored[1][0] <= 1.25 * best + VISIBLE_DIFFERENCE:
+    if (
+        len(scored) > 1
+        and best <= LARGEST_DIFFERENCE
+        and scored[1][0] <= 1.25 * best + VISIBLE_DIFFERENCE
+    ):
         raise RenderError(
-            f"two orders fit the captured frames equally: {scored[0][1].describe} ({best:.1f} levels) and "
-            f"{scored[1][1].describe} ({scored[1][0]:.1f}); name the files <view>/<frame>.png"
+            f"two orders fit the captured frames equally: {scored[0][1].describe} ({best:.1f} "
+            f"levels) and {scored[1][1].describe} ({scored[1][0]:.1f}); name the files "
+            "<view>/<frame>.png"
         )
     return scored[0][1]
 
 
 def _possible_orders(count: int, request: FrameRequest) -> Iterable[Order]:
     """Yield every different order with that many pictures."""
-    rankings = [request.views, tuple(sorted(request.views)), tuple(name for name in request.cameras if name in request.views)]
+    rankings = [
+        request.views,
+        tuple(sorted(request.views)),
+        tuple(name for name in request.cameras if name in request.views),
+    ]
     earlier_orders: list[Mapping[int, tuple[str, int]]] = []
     for views in dict.fromkeys([*rankings, *((view,) for view in request.views)]):
         for frames in dict.fromkeys([request.frames, range(request.n_frames)]):
@@ -156,8 +195,13 @@ def _possible_orders(count: int, request: FrameRequest) -> Iterable[Order]:
             by_view = [(view, frame) for view in views for frame in frames]
             by_frame = [(view, frame) for frame in frames for view in views]
             named = f"{', '.join(views)} in frames {frames.start}-{frames.stop - 1}"
-            for places, outer in ((by_view, "view after view"), (by_frame, "instant after instant")):
-                inside = {index: place for index, place in enumerate(places) if place[1] in request.frames}
+            for places, outer in (
+                (by_view, "view after view"),
+                (by_frame, "instant after instant"),
+            ):
+                inside = {
+                    index: place for index, place in enumerate(places) if place[1] in request.frames
+                }
                 if inside not in earlier_orders:
                     earlier_orders.append(inside)
                     yield Order(f"{named}, {outer}", inside)

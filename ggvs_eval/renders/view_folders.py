@@ -1,4 +1,5 @@
-"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and this package's run folders.
+"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and this
+package's run folders.
 
 Names that are spelled otherwise, and pictures in another format, are reported.
 """
@@ -44,17 +45,25 @@ def find_folders(path: Path, request: FrameRequest, is_temporary: bool) -> Rende
     """Return the views' pictures by frame number."""
     pictures = {view: _pictures(path, view) for view in request.views}
     items = {
-        view: list(zip(frame_numbers(path / view, [file.stem for file in some], view), some, strict=True))
+        view: list(
+            zip(frame_numbers(path / view, [file.stem for file in some], view), some, strict=True)
+        )
         for view, some in pictures.items()
         if some
     }
-    renders = picture_set(path, items, list(_unexpected_files(path, request)), request, is_temporary)
+    renders = picture_set(
+        path, items, list(_unexpected_files(path, request)), request, is_temporary
+    )
     return replace(renders, hints={view: instead_of(path, view, request) for view in request.views})
 
 
 def refuse_flat(path: Path, request: FrameRequest) -> str | None:
     """Return why this is no folder of pictures named by view and frame; None if it is."""
-    return None if any(_places(path, request).values()) else f"no {request.views[0]}_0000.png or 0000_{request.views[0]}.png"
+    return (
+        None
+        if any(_places(path, request).values())
+        else f"no {request.views[0]}_0000.png or 0000_{request.views[0]}.png"
+    )
 
 
 def flat_files(path: Path, request: FrameRequest) -> list[Path]:
@@ -103,19 +112,38 @@ def picture_set(
         is_temporary: see `PictureView`.
     """
     numbered = number_views(path, items, request)
-    extras = [file.relative_to(path).as_posix() for some in numbered.extras.values() for file in some]
+    extras = [
+        file.relative_to(path).as_posix() for some in numbered.extras.values() for file in some
+    ]
     doubles = {
         view: {frame: [file.name for file in some] for frame, some in by_frame.items()}
         for view, by_frame in numbered.doubles.items()
     }
-    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
-    return RenderSet(views, (*unexpected, *extras), (), numbered.note, numbered.first, doubles)
+    views: dict[str, RenderedView] = {
+        view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()
+    }
+    return RenderSet(
+        views=views,
+        extras=(*unexpected, *extras),
+        notes=(),
+        numbering=numbered.note,
+        first=numbered.first,
+        doubles=doubles,
+    )
 
 
 def placed_pictures(renders: RenderSet) -> dict[tuple[str, int], Path]:
     """(view, frame) -> the picture of it."""
-    pictures = ((view, rendered) for view, rendered in renders.views.items() if isinstance(rendered, PictureView))
-    return {(view, frame): file for view, rendered in pictures for frame, file in rendered.pictures.items()}
+    pictures = (
+        (view, rendered)
+        for view, rendered in renders.views.items()
+        if isinstance(rendered, PictureView)
+    )
+    return {
+        (view, frame): file
+        for view, rendered in pictures
+        for frame, file in rendered.pictures.items()
+    }
 
 
 def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
@@ -127,7 +155,10 @@ def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
 
 
 def refuse_run(path: Path, request: FrameRequest) -> str | None:
-    """State why this is not a run folder of this package with renders of one method to take; None if it is."""
+    """State why this is not a run folder of this package with renders of one method to take.
+
+    None if it is.
+    """
     run = RunFolder(path)
     if not run.protocol_file.is_file():
         return "no protocol.toml"
@@ -160,7 +191,10 @@ def _method_folder(path: Path, request: FrameRequest) -> Path:
 
 
 def instead_of(path: Path, view: str, request: FrameRequest) -> str:
-    """Describe files that look like a view's missing frames, with a remedy; empty if there are none."""
+    """Describe files that look like a view's missing frames, with a remedy.
+
+    Empty if there are none.
+    """
     folder = find_below(path, view)
     unread = unread_pictures(folder)
     if unread or list_images(folder):
@@ -173,30 +207,47 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
 
 def instead_of_all(path: Path, request: FrameRequest) -> str:
     """Return the same where no view is there at all."""
-    present = {file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0] for file in list_entries(path)}
+    present = {
+        file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0]
+        for file in list_entries(path)
+    }
     sources = [name for name in request.cameras if name in present]
     if sources and present.isdisjoint(request.views):
         return (
-            f"{path.name} has {', '.join(sources)}, which are sources under this protocol; its test views are "
-            f"{', '.join(request.views)}: render these; where the method did not use {', '.join(sources)}, hold them out: "
-            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(sources)}"
+            f"{path.name} has {', '.join(sources)}, which are sources under this protocol; its "
+            f"test views are {', '.join(request.views)}: render these; where the method did not "
+            f"use {', '.join(sources)}, hold them out: ggvs-eval protocol CAPTURE mine.toml --test "
+            f"{' '.join(sources)}"
         )
     hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
     if hints:
         return "; ".join(dict.fromkeys(hints))
-    below = ((Path(folder), Path(file).suffix.lower()) for folder, _, files in os.walk(path) for file in files)
-    folders = sorted({folder for folder, suffix in islice(below, LOOKED_THROUGH) if suffix in UNREAD_PICTURES})
+    below = (
+        (Path(folder), Path(file).suffix.lower())
+        for folder, _, files in os.walk(path)
+        for file in files
+    )
+    folders = sorted(
+        {folder for folder, suffix in islice(below, LOOKED_THROUGH) if suffix in UNREAD_PICTURES}
+    )
     return f"{folders[0].name}/ holds {unread_pictures(folders[0])}" if folders else ""
 
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
-    """Return the name that was probably meant to be a view's, with a remedy; empty if there is none."""
+    """Return the name that was probably meant to be a view's, with a remedy.
+
+    Empty if there is none.
+    """
     extra_names = {name: label for name, label in names.items() if name not in request.cameras}
     for name, label in extra_names.items():
         if name.casefold() == view.casefold():
             return f"there is {label}: names are case-sensitive, write {view}"
     number = _only_number(view)
-    alike = [label for name, label in extra_names.items() if number is not None and _only_number(name) == number]
+    alike = [
+        label
+        for name, label in extra_names.items()
+        if number is not None and _only_number(name) == number
+    ]
     return f"there is {alike[0]}: rename it if it is {view}" if len(alike) == 1 else ""
 
 

@@ -1,4 +1,6 @@
-"""Error of the mean of a short, autocorrelated series: Student's t, averaged over the correlations it allows."""
+"""Error of the mean of a short, autocorrelated series: Student's t, averaged over the correlations
+it allows.
+"""
 
 import math
 from collections.abc import Sequence
@@ -17,17 +19,20 @@ from ggvs_eval.progress import counted
 CORRELATIONS = 30
 LEAST_CORRELATION = -0.9
 LEAST_WORTH = 0.5  # independent frames that a clip of the strongest correlation is worth
-NOISE_SHARES = (0.3, 0.6)  # of the variance, in models with noise of each frame upon the correlated part
+# of the variance, in models with noise of each frame upon the correlated part
+NOISE_SHARES = (0.3, 0.6)
 NOISE_FROM = 0.3  # correlation from which such noise is worth a model
 NOISE_PRIOR = 0.05
 FEWEST_WORTH = 4.0  # independent frames below which an interval covers too seldom
-FEWEST_CALLED = 10.0  # to call a difference; at 8, 5 to 8 % of equal pairs were called different in 6 to 12 frames
+# to call a difference; at 8, 5 to 8 % of equal pairs were called different in 6 to 12 frames
+FEWEST_CALLED = 10.0
 SMALLEST_TAIL = 1e-12
 
 
 @dataclass(frozen=True)
 class Models:
-    """Correlations that a series of T values may have, each so far scaled that the mean has variance 1.
+    """Correlations that a series of T values may have, each so far scaled that the mean has
+    variance 1.
 
     Attributes:
         variances: (G, T - 1), variance of each cosine coefficient.
@@ -42,7 +47,8 @@ class Models:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Posterior distribution of the errors of the means of series: a mixture of Student's t distributions.
+    """Posterior distribution of the errors of the means of series: a mixture of Student's t
+    distributions.
 
     Attributes:
         weights: (..., G), sum to 1.
@@ -65,7 +71,8 @@ class ErrorOfMean:
         weights: (G,), sum to 1.
         scales: (G,), standard errors.
         freedom: degrees of freedom.
-        short: why the series is too short for its correlation, so that intervals are perhaps too narrow; empty if it is not.
+        short: why the series is too short for its correlation, so that intervals are perhaps too
+            narrow; empty if it is not.
         worth: independent values with as certain a mean; infinite of values that are independent.
         frames: length of the series; 0 of values that are independent.
     """
@@ -84,13 +91,16 @@ class ErrorOfMean:
         return cls(np.ones(1), np.array([scale]), len(values) - 1.0)
 
     @classmethod
-    def of_series(cls, series: Array, variance: Array | float = 0.0, count: int = 1, squares: bool = False) -> "ErrorOfMean":
-        """Error of the mean of a series or of squares, less a variance counted elsewhere (under each model), over `count`.
+    def of_series(
+        cls, series: Array, variance: Array | float = 0.0, count: int = 1, squares: bool = False
+    ) -> "ErrorOfMean":
+        """Error of the mean of a series or of squares, less a variance counted elsewhere (under
+        each model), over `count`.
 
         Reading:
-            Given a model, the scale of normal values is known by all of them. Squares are not normal, and their scale is known by
-            the independent ones alone (Satterthwaite's degrees of freedom): 6 % of false alarms at T = 100 and a correlation of
-            0.9 in place of 7 to 8.
+            Given a model, the scale of normal values is known by all of them. Squares are not
+            normal, and their scale is known by the independent ones alone (Satterthwaite's degrees
+            of freedom): 6 % of false alarms at T = 100 and a correlation of 0.9 in place of 7 to 8.
         """
         posterior = correlation_posterior(series)
         scales = np.sqrt(np.maximum(np.square(posterior.scales) - variance, 0.0)) / count
@@ -108,14 +118,20 @@ class ErrorOfMean:
         widest = self.greatest_half_width(tail)
         if widest <= 0.0 or self.tail(widest) >= tail:
             return widest
-        return float(brentq(lambda size: self.tail(size) - tail, 0.0, widest, xtol=1e-13 * widest, rtol=1e-13))
+        return float(
+            brentq(
+                lambda size: self.tail(size) - tail, 0.0, widest, xtol=1e-13 * widest, rtol=1e-13
+            )
+        )
 
     def greatest_half_width(self, tail: float) -> float:
         """Return the same under the strongest correlation that is thought of, however unlikely."""
         return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
 
 
-def describe_short(frames: int, worth: float, least: float = FEWEST_CALLED, claim: str = "clip too short") -> str:
+def describe_short(
+    frames: int, worth: float, least: float = FEWEST_CALLED, claim: str = "clip too short"
+) -> str:
     """State in words why a clip is too short for a verdict; empty if it is not.
 
     Args:
@@ -141,33 +157,51 @@ def correlation_posterior(series: ArrayLike) -> Posterior:
         series: (..., T), T >= 2.
 
     Reading:
-        The effective sample size of a clip is its length over the frames that one independent frame lasts, (1 + c) / (1 - c) for
-        correlation c from frame to frame. With few frames c is known badly: one estimate of it gives intervals that cover too
-        seldom, or far too wide ones where it comes near 1. So all correlations count, evenly spread from -0.9 up to where the
-        clip is worth half a frame, each with its likelihood; one twentieth goes to models in which each frame has additional
-        noise of its own (30 or 60 % of the variance). Given a model, the cosine coefficients of the clip (those of Lazarus,
-        Lewis, Stock & Watson 2018) are independent with known ratios of variances, Student's t with T - 1 degrees of freedom
-        follows, and their average is the posterior under a flat prior of mean and log variance (Zellner & Tiao 1964). Of the
-        methods in `benchmarks/interval_coverage.py` it is the narrowest that covers 92 to 97 % up to 0.7 at 24 frames and 0.9 at
-        100; prewhitened cosines cover about as well and are up to 1.9 times as wide.
+        The effective sample size of a clip is its length over the frames that one independent frame
+        lasts, (1 + c) / (1 - c) for correlation c from frame to frame. With few frames c is known
+        badly: one estimate of it gives intervals that cover too seldom, or far too wide ones where
+        it comes near 1. So all correlations count, evenly spread from -0.9 up to where the clip is
+        worth half a frame, each with its likelihood; one twentieth goes to models in which each
+        frame has additional noise of its own (30 or 60 % of the variance). Given a model, the
+        cosine coefficients of the clip (those of Lazarus, Lewis, Stock & Watson 2018) are
+        independent with known ratios of variances, Student's t with T - 1 degrees of freedom
+        follows, and their average is the posterior under a flat prior of mean and log variance
+        (Zellner & Tiao 1964). Of the methods in `benchmarks/interval_coverage.py` it is the
+        narrowest that covers 92 to 97 % up to 0.7 at 24 frames and 0.9 at 100; prewhitened cosines
+        cover about as well and are up to 1.9 times as wide.
     """
     values = np.asarray(series, dtype=np.float64)
     frames = values.shape[-1]
     models = correlation_models(frames)
-    energies = np.square(dct(values - values.mean(axis=-1, keepdims=True), axis=-1, norm="ortho")[..., 1:])
+    energies = np.square(
+        dct(values - values.mean(axis=-1, keepdims=True), axis=-1, norm="ortho")[..., 1:]
+    )
     total = energies.sum(axis=-1, keepdims=True)
     relative = energies / np.where(total > 0.0, total, 1.0)
     scaled = np.where(total > 0.0, relative @ (1.0 / models.variances).T, 1.0)  # (..., G)
-    logarithm = np.log(models.prior) - 0.5 * np.log(models.variances).sum(axis=1) - 0.5 * (frames - 1) * np.log(scaled)
-    weights = np.where(total > 0.0, np.exp(logarithm - logarithm.max(axis=-1, keepdims=True)), models.prior)
+    logarithm = (
+        np.log(models.prior)
+        - 0.5 * np.log(models.variances).sum(axis=1)
+        - 0.5 * (frames - 1) * np.log(scaled)
+    )
+    weights = np.where(
+        total > 0.0, np.exp(logarithm - logarithm.max(axis=-1, keepdims=True)), models.prior
+    )
     weights /= weights.sum(axis=-1, keepdims=True)
     worth = np.where(total[..., 0] > 0.0, np.exp(weights @ np.log(models.worth)), frames)
-    return Posterior(weights, np.sqrt(scaled * total / (frames - 1)), frames - 1.0, worth)
+    return Posterior(
+        weights=weights,
+        scales=np.sqrt(scaled * total / (frames - 1)),
+        freedom=frames - 1.0,
+        worth=worth,
+    )
 
 
 @lru_cache(maxsize=16)
 def correlation_models(frames: int) -> Models:
-    """Return the models of a series of this many frames: autoregressive ones, and some with additional noise of each frame."""
+    """Return the models of a series of this many frames: autoregressive ones, and some with
+    additional noise of each frame.
+    """
     longest = frames / LEAST_WORTH
     strongest = (longest - 1.0) / (longest + 1.0)
     grid = np.tanh(np.linspace(math.atanh(LEAST_CORRELATION), math.atanh(strongest), CORRELATIONS))
@@ -183,8 +217,9 @@ def correlation_models(frames: int) -> Models:
 def model_variances(frames: int, correlations: Array, shares: Array, prior: Array) -> Models:
     """Return the variances of the mean and of the cosine coefficients of series, exactly.
 
-    Coefficient j of lag l overlaps itself by (1 - l / T) cos(pi j l / T) - sin(pi j l / T) / (T sin(pi j / T)); the sums over
-    lags are a cosine and a sine transform, so that memory grows with T alone.
+    Coefficient j of lag l overlaps itself by (1 - l / T) cos(pi j l / T) - sin(pi j l / T) / (T
+    sin(pi j / T)); the sums over lags are a cosine and a sine transform, so that memory grows with
+    T alone.
 
     Args:
         correlations: (G,), from frame to frame, of the correlated part.
@@ -200,8 +235,12 @@ def model_variances(frames: int, correlations: Array, shares: Array, prior: Arra
     return Models((cosines - sines) / of_mean[:, None], prior, 1.0 / of_mean)
 
 
-def tail_probability(size: Array | np.float64, weights: Array, scales: Array, freedom: float) -> Array:
-    """Return the two-sided probability of errors of at least this size (...,) under mixtures of Student's t, (..., G) each."""
+def tail_probability(
+    size: Array | np.float64, weights: Array, scales: Array, freedom: float
+) -> Array:
+    """Return the two-sided probability of errors of at least this size (...,) under mixtures of
+    Student's t, (..., G) each.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(size)[..., None] / scales
     tails = np.where(np.isnan(ratio), 1.0, 2.0 * stdtr(freedom, -ratio))
@@ -209,7 +248,9 @@ def tail_probability(size: Array | np.float64, weights: Array, scales: Array, fr
 
 
 def total_half_width(parts: Sequence[ErrorOfMean], tail: float) -> float:
-    """Return half width of the sum of independent errors: half widths add as roots of squares (Zou & Donner 2008)."""
+    """Return half width of the sum of independent errors: half widths add as roots of squares (Zou
+    & Donner 2008).
+    """
     return math.hypot(*(part.half_width(tail) for part in parts))
 
 

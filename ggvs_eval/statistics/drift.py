@@ -1,4 +1,6 @@
-"""Drift of a series: its least-squares slope over time, with an interval that knows that errors last from frame to frame."""
+"""Drift of a series: its least-squares slope over time, with an interval that knows that errors
+last from frame to frame.
+"""
 
 from dataclasses import dataclass
 
@@ -9,7 +11,8 @@ from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_poster
 from ggvs_eval.statistics.intervals import LEVEL
 
 FEWEST = 4.0  # independent frames; a slope of fewer is marked
-CLEAR = 3.0  # intervals of a slope from which on it is none of the slow wandering that looks like a line
+# intervals of a slope from which on it is none of the slow wandering that looks like a line
+CLEAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -35,20 +38,25 @@ def measure_drift(series: Array, level: float = LEVEL) -> Drift:
         2.0
 
     Reading:
-        Over clips that are long for their correlation the variances of a slope and of a mean have one cause, the variance of what
-        scatters about the line times the frames that one independent frame lasts; so the slope's error is the mean's, times the
-        root of T over the sum of squared times. The line has taken two degrees of freedom, of those that independent frames
-        leave, and of what scatters about it one more than a mean has: with n independent frames its variance is (n - 1) / (n -
-        2) as large. A line takes slow wandering away with it, so a series is short for its correlation where it is with the line
-        or without, unless its slope is three times its interval. From 100 frames and up to a correlation of 0.95 at most 5 % of
-        the intervals that are not short exclude 0 without drift (3.6 to 4.9 % of at least 20,000 series each).
+        Over clips that are long for their correlation the variances of a slope and of a mean have
+        one cause, the variance of what scatters about the line times the frames that one
+        independent frame lasts; so the slope's error is the mean's, times the root of T over the
+        sum of squared times. The line has taken two degrees of freedom, of those that independent
+        frames leave, and of what scatters about it one more than a mean has: with n independent
+        frames its variance is (n - 1) / (n - 2) as large. A line takes slow wandering away with it,
+        so a series is short for its correlation where it is with the line or without, unless its
+        slope is three times its interval. From 100 frames and up to a correlation of 0.95 at most 5
+        % of the intervals that are not short exclude 0 without drift (3.6 to 4.9 % of at least
+        20,000 series each).
     """
     times = np.arange(len(series)) - (len(series) - 1) / 2
     squares = float(times @ times)
     slope = float(times @ series) / squares
     posterior = correlation_posterior(series - series.mean() - slope * times)
     worth = float(posterior.worth)
-    scales = posterior.scales * np.sqrt(len(series) / squares * max(worth - 1.0, 1.0) / max(worth - 2.0, 1.0))
+    scales = posterior.scales * np.sqrt(
+        len(series) / squares * max(worth - 1.0, 1.0) / max(worth - 2.0, 1.0)
+    )
     half = ErrorOfMean(posterior.weights, scales, max(worth - 2.0, 1.0)).half_width(1 - level)
     if worth >= FEWEST and abs(slope) <= CLEAR * half:
         worth = min(worth, float(correlation_posterior(series).worth))

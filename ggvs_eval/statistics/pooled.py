@@ -1,4 +1,7 @@
-"""A metric's number for one scene as a function of how much each view and each frame counts; and every number of a data set."""
+"""A metric's number for one scene as a function of how much each view and each frame counts.
+
+And every number of a data set.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +28,11 @@ class PooledScene:
     Attributes:
         views: names of the views; None alone where values belong to the whole rig.
         frames: numbers of the frames, -1 alone where values belong to the whole sequence.
-        pool: (weights of the views (R, V) or (1, V), weights of the frames (R, T) or (1, T), rows sum to 1) -> numbers (R,).
+        pool: (weights of the views (R, V) or (1, V), weights of the frames (R, T) or (1, T), rows
+            sum to 1) -> numbers (R,).
         views_given: whether its views are no sample of others, however many there are.
-        squares: whether what each frame moves is a square of its errors, and so never as even as they are.
+        squares: whether what each frame moves is a square of its errors, and so never as even as
+            they are.
     """
 
     scene: str
@@ -50,36 +55,65 @@ class PooledScene:
     def minus(self, subtrahend: "PooledScene") -> "PooledScene":
         """Return the difference to another method under the same weights."""
         if (self.views, self.frames) != (subtrahend.views, subtrahend.frames):
-            sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, subtrahend))
-            raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods on the same frames")
+            sizes = " and ".join(
+                f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, subtrahend)
+            )
+            raise ResultsError(
+                f"{self.scene}: not the same views and frames ({sizes}); score both methods on the "
+                f"same frames"
+            )
         return replace(self, pool=lambda v, f: self.pool(v, f) - subtrahend.pool(v, f))
 
 
-def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, subject: str) -> PooledScene:
+def pool_scene(
+    cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, subject: str
+) -> PooledScene:
     """Find out how a metric's number on a scene is made of views and frames.
 
     Args:
-        cells: rows of the table of one method and scene by metric, those of the pooling's parts among them.
+        cells: rows of the table of one method and scene by metric, those of the pooling's parts
+            among them.
         pooling: how it is made.
 
     Raises:
-        ResultsError: missing or infinite cells, or a number in the table that its parts do not give.
+        ResultsError: missing or infinite cells, or a number in the table that its parts do not
+            give.
     """
     if metric not in cells:
         raise ResultsError(f"{metric} of {subject}: no values in the results; score it")
     if absent := [part for part in pooling.parts if part not in cells]:
-        raise ResultsError(f"{metric} of {subject}: no {', '.join(absent)} per view and frame in the results; score again")
-    panels = [make_panel(cells[part], f"{part} of {subject}") for part in pooling.parts or (metric,)]
+        raise ResultsError(
+            f"{metric} of {subject}: no {', '.join(absent)} per view and frame in the results; "
+            f"score again"
+        )
+    panels = [
+        make_panel(cells[part], f"{part} of {subject}") for part in pooling.parts or (metric,)
+    ]
     first = panels[0]
     if any((panel.views, panel.frames) != (first.views, first.frames) for panel in panels):
-        raise ResultsError(f"{metric} of {subject}: its parts are of different views or frames; score again")
+        raise ResultsError(
+            f"{metric} of {subject}: its parts are of different views or frames; score again"
+        )
     pool = pooling.pool(*(panel.values for panel in panels))
-    pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given, pooling.squares)
+    pooled = PooledScene(
+        scene=scene,
+        views=first.views,
+        frames=first.frames,
+        pool=pool,
+        views_given=pooling.takes_views_as_given,
+        squares=pooling.squares,
+    )
     if pooling.parts:
-        from_table = float(make_panel(cells[metric], f"{metric} of {subject}").values.mean(axis=1).mean())
+        from_table = float(
+            make_panel(cells[metric], f"{metric} of {subject}").values.mean(axis=1).mean()
+        )
         from_parts = pooled.value
-        if not abs(from_table - from_parts) <= SAME * max(abs(from_table), abs(from_parts)):  # NaN is refused too
-            raise ResultsError(f"{subject}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score again")
+        # NaN is refused too
+        if not abs(from_table - from_parts) <= SAME * max(abs(from_table), abs(from_parts)):
+            raise ResultsError(
+                f"{subject}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score "
+                f"again"
+            )
     return pooled
 
 
@@ -88,7 +122,8 @@ class PooledTable:
     """One metric on one data set.
 
     Attributes:
-        values: label -> mean over frames, then views, then scenes, as `ggvs_eval.results.Results.summary` has it.
+        values: label -> mean over frames, then views, then scenes, as
+            `ggvs_eval.results.Results.summary` has it.
         scenes: label -> its number on each scene, scenes in alphabetical order.
         refusals: label -> why its number cannot be made of views and frames.
         no_interval: why no number has an interval; empty if they have.
@@ -102,7 +137,9 @@ class PooledTable:
     def scenes_of(self, label: str) -> tuple[PooledScene, ...]:
         """Return the scenes of one method."""
         if label not in self.scenes:
-            raise ResultsError(self.refusals.get(label, f"{label}: no values in the results; score it"))
+            raise ResultsError(
+                self.refusals.get(label, f"{label}: no values in the results; score it")
+            )
         return self.scenes[label]
 
 
@@ -117,33 +154,53 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
     cells = _cells(results, metric, () if pooling is None else pooling.parts, dataset)
     values = {label: _mean(by_scene, metric) for label, by_scene in cells.items()}
     if pooling is None:
-        return PooledTable(values, {}, dict.fromkeys(values, f"the results lack the pooling of {metric}; score again"))
+        return PooledTable(
+            values,
+            {},
+            dict.fromkeys(values, f"the results lack the pooling of {metric}; score again"),
+        )
     scenes: dict[str, tuple[PooledScene, ...]] = {}
     refusals: dict[str, str] = {}
     for label, by_scene in cells.items():
         try:
             scenes[label] = tuple(
-                pool_scene(by_scene[scene], metric, pooling, scene, f"{label} in {scene}") for scene in sorted(by_scene)
+                pool_scene(by_scene[scene], metric, pooling, scene, f"{label} in {scene}")
+                for scene in sorted(by_scene)
             )
         except ResultsError as refusal:
             refusals[label] = str(refusal)
-    return PooledTable(values, scenes, refusals, pooling.no_interval)
+    return PooledTable(
+        values=values, scenes=scenes, refusals=refusals, no_interval=pooling.no_interval
+    )
 
 
-def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) -> "dict[str, dict[str, dict[str, pd.DataFrame]]]":
-    """Rows of the metric and of what it is made of: label -> scene -> metric -> rows; methods in the order of the table."""
+def _cells(
+    results: Results, metric: str, parts: Sequence[str], dataset: str
+) -> "dict[str, dict[str, dict[str, pd.DataFrame]]]":
+    """Rows of the metric and of what it is made of: label -> scene -> metric -> rows.
+
+    Methods in the order of the table.
+    """
     table = results.table
     table = table[table["metric"].isin({metric, *parts}) & (table["dataset"] == dataset)]
     by_label: dict[str, dict[str, dict[str, pd.DataFrame]]] = {}
-    for (method, variant, scene, name), rows in table.groupby(["method", "variant", "scene", "metric"], sort=False):
-        by_label.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[str(name)] = rows
+    for (method, variant, scene, name), rows in table.groupby(
+        ["method", "variant", "scene", "metric"], sort=False
+    ):
+        by_label.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[
+            str(name)
+        ] = rows
     scenes_of = {
-        label: {scene: names for scene, names in scenes.items() if metric in names} for label, scenes in by_label.items()
+        label: {scene: names for scene, names in scenes.items() if metric in names}
+        for label, scenes in by_label.items()
     }
     return {label: scenes for label, scenes in scenes_of.items() if scenes}
 
 
 def _mean(by_scene: "Mapping[str, Mapping[str, pd.DataFrame]]", metric: str) -> float:
     """Return the mean over frames, then views, then scenes, as in the summary."""
-    per_scene = [rows[metric].groupby("view", dropna=False)["value"].mean().mean() for rows in by_scene.values()]
+    per_scene = [
+        rows[metric].groupby("view", dropna=False)["value"].mean().mean()
+        for rows in by_scene.values()
+    ]
     return float(sum(per_scene) / len(per_scene))

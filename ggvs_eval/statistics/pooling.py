@@ -1,4 +1,6 @@
-"""Rules by which a metric's number comes from its parts, as functions of how much each view and each frame counts."""
+"""Rules by which a metric's number comes from its parts, as functions of how much each view and
+each frame counts.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,18 +11,21 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 
-Pool = Callable[[Array, Array], Array]  # weights of the views (R, V) or (1, V), of the frames (R, T) or (1, T) -> numbers (R,)
+# weights of the views (R, V) or (1, V), of the frames (R, T) or (1, T) -> numbers (R,)
+Pool = Callable[[Array, Array], Array]
 
 OVER_FRAMES, OVER_VIEWS = "deviation over frames", "deviation over views"
 
 
 @dataclass(frozen=True)
 class Pooling:
-    """Rule that makes a metric's number on a scene of values per view and frame: plain data that travels with the results.
+    """Rule that makes a metric's number on a scene of values per view and frame: plain data that
+    travels with the results.
 
     Attributes:
         rule: one of `RULES`.
-        parts: names in the table of what the rule is applied to; empty if that is the metric itself.
+        parts: names in the table of what the rule is applied to; empty if that is the metric
+            itself.
         settings: further arguments of the rule.
     """
 
@@ -30,18 +35,28 @@ class Pooling:
 
     def __post_init__(self) -> None:
         if self.rule not in RULES:
-            raise ResultsError(f"wanted a pooling rule of {', '.join(RULES)}, got {self.rule!r}; use the version that scored it")
+            raise ResultsError(
+                f"wanted a pooling rule of {', '.join(RULES)}, got {self.rule!r}; use the version "
+                f"that scored it"
+            )
 
     @property
     def no_interval(self) -> str:
-        """Reason why numbers by this rule have no interval, though two of them can be compared; empty if they have one.
+        """Reason why numbers by this rule have no interval, though two of them can be compared.
+
+        Empty if they have one.
 
         Reading:
-            The deviation of a short correlated clip is too small on average and its square has a long tail: intervals of it cover
-            85 to 95 % for normal errors and 80 to 85 % for heavy-tailed ones at any length. In the difference of two methods both
-            cancel: 3 to 7 % of false alarms (`benchmarks/interval_coverage.py`).
+            The deviation of a short correlated clip is too small on average and its square has a
+            long tail: intervals of it cover 85 to 95 % for normal errors and 80 to 85 % for
+            heavy-tailed ones at any length. In the difference of two methods both cancel: 3 to 7 %
+            of false alarms (`benchmarks/interval_coverage.py`).
         """
-        return "a deviation of correlated frames, whose intervals have too low coverage" if self.squares else ""
+        return (
+            "a deviation of correlated frames, whose intervals have too low coverage"
+            if self.squares
+            else ""
+        )
 
     @property
     def squares(self) -> bool:
@@ -50,7 +65,9 @@ class Pooling:
 
     @property
     def takes_views_as_given(self) -> bool:
-        """True if its views are not a sample of others: the error of a deviation over few views is unknown."""
+        """True if its views are not a sample of others: the error of a deviation over few views is
+        unknown.
+        """
         return self.rule == OVER_VIEWS
 
     @classmethod
@@ -68,11 +85,13 @@ class Pooling:
 
 
 def powers_of_means(powers: Mapping[str, float]) -> Pooling:
-    """In each view the product of the means over frames of some parts, each to a power; then the mean over views.
+    """In each view the product of the means over frames of some parts, each to a power.
+
+    Then the mean over views.
 
     Args:
-        powers: name of the part in the table -> power: 1 and 1 for a product of means, 1 and -1 for a ratio of sums, 0.5 for the
-            root of a mean.
+        powers: name of the part in the table -> power: 1 and 1 for a product of means, 1 and -1 for
+            a ratio of sums, 0.5 for the root of a mean.
     """
     return Pooling("powers of means", tuple(powers), {"powers": list(powers.values())})
 
@@ -83,11 +102,14 @@ def pool_mean(values: Array) -> Pool:
 
 
 def pool_powers(*parts: Array, powers: tuple[float, ...]) -> Pool:
-    """Return the mean over views of the product of powers of means over frames, each part (V, T)."""
+    """Return the mean over views of the product of powers of means over frames, each part
+    (V, T).
+    """
 
     def pool(views: Array, frames: Array) -> Array:
         product = views
-        with np.errstate(divide="ignore", invalid="ignore"):  # a number that is not finite is refused with its scene's name
+        # a number that is not finite is refused with its scene's name
+        with np.errstate(divide="ignore", invalid="ignore"):
             for part, power in zip(parts, powers, strict=True):
                 product = product * (frames @ part.T) ** power
         return np.asarray(product.sum(axis=1))
@@ -123,7 +145,10 @@ def pool_sdv(values: Array, ddof: int = 1) -> Pool:
 
 
 def _unbiased(count: int, ddof: int) -> float:
-    """From the mean square to the variance with this ddof; nothing to correct where one value has no variance anyway."""
+    """From the mean square to the variance with this ddof.
+
+    Nothing to correct where one value has no variance anyway.
+    """
     return count / (count - ddof) if count > ddof else 1.0
 
 

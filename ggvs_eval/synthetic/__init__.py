@@ -1,1 +1,3 @@
-"""Included demo captures: a procedural dynamic room, filmed by rigs like those of three data sets."""
+"""Included demo captures: a procedural dynamic room, filmed by rigs like those of three
+data sets.
+"""

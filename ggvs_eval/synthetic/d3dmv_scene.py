@@ -1,8 +1,9 @@
-"""The file of Deep 3D Mask Volume's layout, compressed as it is distributed: all frames of all cameras in HDF5, lossless.
+"""The file of Deep 3D Mask Volume's layout, compressed as it is distributed: all frames of all
+cameras in HDF5, lossless.
 
-The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with leftovers in its hash table from
-earlier calls, so that equal images give different, equally valid bytes. This one looks for nothing but repeated bytes, which is
-what cut-outs before a black ground consist of.
+The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with leftovers
+in its hash table from earlier calls, so that equal images give different, equally valid bytes. This
+one looks for nothing but repeated bytes, which is what cut-outs before a black ground consist of.
 """
 
 from collections.abc import Sequence
@@ -36,10 +37,19 @@ def write_scene(path: Path, rgb: Sequence[Image8], alpha: Sequence[NDArray[np.ui
     n_frames, height, width, _ = rgb[0].shape
     with h5py.File(path, "w") as file:
         for key, channels in (("rgb", 3), ("fg_rgb", 4)):
-            joined = create_lzf(file, key, (len(rgb), n_frames, height, width, channels), (1, 1, height, width, channels))
+            joined = create_lzf(
+                file,
+                key,
+                (len(rgb), n_frames, height, width, channels),
+                (1, 1, height, width, channels),
+            )
             for row, index in np.ndindex(len(rgb), n_frames):
                 image = rgb[row][index]
-                write_chunk(joined, (row, index), image if channels == 3 else cut_out(image, alpha[row][index]))
+                write_chunk(
+                    joined,
+                    (row, index),
+                    image if channels == 3 else cut_out(image, alpha[row][index]),
+                )
         joined = create_lzf(file, "bg_rgb", (len(rgb), height, width, 3), (1, height, width, 3))
         for row, frames in enumerate(rgb):
             write_chunk(joined, (row,), median_background(frames))
@@ -55,7 +65,8 @@ def median_background(frames: Image8) -> Image8:
     """Return the median over time, per pixel and channel, (H, W, 3).
 
     Reading:
-        The original takes every 25th of some hundreds of frames; this takes evenly spaced ones, at most 32.
+        The original takes every 25th of some hundreds of frames; this takes evenly spaced ones, at
+        most 32.
     """
     stride = -(-len(frames) // MEDIAN_FRAMES)
     return np.rint(np.median(frames[::stride], axis=0)).astype(np.uint8)
@@ -63,7 +74,9 @@ def median_background(frames: Image8) -> Image8:
 
 def create_lzf(file: Any, key: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> Any:
     """Return an empty uint8 dataset with shuffle and LZF."""
-    return file.create_dataset(key, shape, np.uint8, chunks=chunk, compression="lzf", shuffle=True, track_times=False)
+    return file.create_dataset(
+        key, shape, np.uint8, chunks=chunk, compression="lzf", shuffle=True, track_times=False
+    )
 
 
 def write_chunk(dataset: Any, index: tuple[int, ...], image: Image8) -> None:
@@ -76,7 +89,9 @@ def write_chunk(dataset: Any, index: tuple[int, ...], image: Image8) -> None:
 
 
 def encode_lzf(content: NDArray[np.uint8]) -> bytes:
-    """LZF of bytes, (N,): blocks that repeat the byte before them become references, all others literals."""
+    """LZF of bytes, (N,): blocks that repeat the byte before them become references, all others
+    literals.
+    """
     count = len(content) // BLOCK
     blocks = content[: count * BLOCK].reshape(count, BLOCK)
     repeats = np.zeros(count, bool)

@@ -1,9 +1,11 @@
-"""Identity of code: the version of the package and the text of the rooms that a result names, or of a plug-in's file.
+"""Identity of code: the version of the package and the text of the rooms that a result names, or of
+a plug-in's file.
 
-A room is a package without the packages below it. What is made names the rooms that decide it; it is
-stale when a file of one of them, or of the rooms above them, has changed. Nobody has to follow imports
-to know what a change costs. Of an extension module the sources count that it was built from, which
-setup.py hashes into it: equal code has equal hashes on every machine, whatever the compiler.
+A room is a package without the packages below it. What is made names the rooms that decide it; it
+is stale when a file of one of them, or of the rooms above them, has changed. Nobody has to follow
+imports to know what a change costs. Of an extension module the sources count that it was built
+from, which setup.py hashes into it: equal code has equal hashes on every machine, whatever the
+compiler.
 """
 
 import hashlib
@@ -23,7 +25,8 @@ PACKAGE = "ggvs_eval"
 TOP_ROOMS = ("baselines", "contrib", "metrics", "pipelines", "reports")
 BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
 COUNTED = (".py", *EXTENSION_SUFFIXES)
-WITHOUT_EFFECT = ("__init__", "api", "built_in", "errors", "plugins", "progress")  # names, and words for people
+# names, and words for people
+WITHOUT_EFFECT = ("__init__", "api", "built_in", "errors", "plugins", "progress")
 # What every picture, depth map and number is computed with, as far as it is there.
 COMMON = tuple(f"{PACKAGE}.{room}" for room in ("files", "gaussians", "geometry", "kernels"))
 
@@ -45,7 +48,10 @@ def code_of(*names: str) -> str:
 @cache
 def package_digest() -> str:
     """Return the hash of the whole package, which machines that share tasks must have in common."""
-    rooms = [PACKAGE, *(room for name in TOP_ROOMS if importlib.util.find_spec(room := f"{PACKAGE}.{name}"))]
+    rooms = [
+        PACKAGE,
+        *(room for name in TOP_ROOMS if importlib.util.find_spec(room := f"{PACKAGE}.{name}")),
+    ]
     for room in rooms:
         inner = pkgutil.iter_modules([str(_folder(room))], f"{room}.")
         rooms += [module.name for module in inner if module.ispkg and module.name not in rooms]

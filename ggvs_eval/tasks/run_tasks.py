@@ -14,7 +14,10 @@ from ggvs_eval.tasks.task_list import TaskList
 
 @dataclass(frozen=True)
 class Attempt:
-    """How many tasks were run to their end, and why others were not; those that were done before do not count."""
+    """How many tasks were run to their end, and why others were not.
+
+    Those that were done before do not count.
+    """
 
     n_done: int
     failures: tuple[Failure, ...]
@@ -24,7 +27,9 @@ class BrokenTaskError(RuntimeError):
     """Bug of the package in a task; the message ends with its traceback."""
 
 
-def run_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None) -> int:
+def run_tasks(
+    tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None
+) -> int:
     """Run the tasks that are not done yet; one failure does not stop the others.
 
     Args:
@@ -41,10 +46,14 @@ def run_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_li
     listed = "; ".join(map(str, attempt.failures))
     if broken:
         raise BrokenTaskError("\n".join([listed, *broken]))
-    raise RenderError(f"{len(attempt.failures)} of {attempt.n_done + len(attempt.failures)} jobs failed: {listed}")
+    raise RenderError(
+        f"{len(attempt.failures)} of {attempt.n_done + len(attempt.failures)} jobs failed: {listed}"
+    )
 
 
-def attempt_tasks(tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None) -> Attempt:
+def attempt_tasks(
+    tasks: Sequence[Task], workers: Workers, description: str, task_list: TaskList | None = None
+) -> Attempt:
     """Run the tasks that are not done yet and return the failures; arguments as of `run_tasks`."""
     batches: dict[Path, list[Task]] = {}
     for task in tasks:
@@ -56,7 +65,9 @@ def attempt_tasks(tasks: Sequence[Task], workers: Workers, description: str, tas
         return Attempt(0, ())
     waiting, failures = list(batches.values()), []
     apart = any(task.foreign for batch in waiting for task in batch)
-    for index, outcome in track(as_engine(workers).run(_run_one, waiting, apart), description, len(waiting)):
+    for index, outcome in track(
+        as_engine(workers).run(_run_one, waiting, apart), description, len(waiting)
+    ):
         batch = waiting[index]
         failure = _evaluate(batch, outcome)
         if task_list:
@@ -91,5 +102,7 @@ def _evaluate(batch: Sequence[Task], outcome: Failure | LostJob | None) -> Failu
     if isinstance(outcome, LostJob):
         return Failure(task.name, outcome.reason)
     if outcome is None and not all(member.is_done() for member in batch):
-        return Failure(task.name, f"it ended, and {task.batch} is not here: workers must see the same folders")
+        return Failure(
+            task.name, f"it ended, and {task.batch} is not here: workers must see the same folders"
+        )
     return outcome

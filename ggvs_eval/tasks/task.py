@@ -1,9 +1,9 @@
 """Tasks: what is made once, and again where it is lost, changed, or made from something else.
 
-A task's inputs are everything that its result depends on. Its folder holds a ``job.json`` with these
-and its files, so that what exists is not made again, and what was lost or changed is. `Task` makes a
-whole folder: it is filled under a temporary name and renamed. `FileTask` makes files whose names are
-known beforehand: each is written whole, and what a killed process has left of them stays.
+A task's inputs are everything that its result depends on. Its folder holds a ``job.json`` with
+these and its files, so that what exists is not made again, and what was lost or changed is. `Task`
+makes a whole folder: it is filled under a temporary name and renamed. `FileTask` makes files whose
+names are known beforehand: each is written whole, and what a killed process has left of them stays.
 """
 
 import glob
@@ -40,7 +40,8 @@ class Result:
         count: how many files, maps or scenes it has.
         cost_s: core-seconds of each at `jobs.machine.pace` 1; None if they are not known.
         n_bytes: of each.
-        above: how many folders above its own holds all that is made together with it; 0 if it is made alone.
+        above: how many folders above its own holds all that is made together with it; 0 if it is
+            made alone.
     """
 
     name: str
@@ -70,7 +71,9 @@ class Made(Result):
     sha256: str
 
     def is_done(self) -> bool:
-        """Return whether the folder holds exactly this result, and each of its files at its size."""
+        """Return whether the folder holds exactly this result, and each of its files at its
+        size.
+        """
         record = read_record(self.folder)
         try:
             sizes = {name: (self.folder / name).stat().st_size for name in record["files"]}
@@ -85,13 +88,14 @@ class Task(Result):
 
     Attributes:
         inputs: everything that the result depends on, as JSON values.
-        make: called with a temporary folder to fill; returns what job.json records besides the inputs.
-            It travels to another process: a module-level function or a `functools.partial` of one.
-        together: in place of `make`, called with the tasks of one `batch`; yields each with its record,
-            as soon as that is known.
+        make: called with a temporary folder to fill; returns what job.json records besides the
+            inputs. It travels to another process: a module-level function or a `functools.partial`
+            of one.
+        together: in place of `make`, called with the tasks of one `batch`; yields each with its
+            record, as soon as that is known.
         needs: what it reads: made before it, and only where it is not done itself.
-        resumes: the work continues from what it has left in its folder when it was killed; from that it
-            must find out how far it is.
+        resumes: the work continues from what it has left in its folder when it was killed; from
+            that it must find out how far it is.
         joins: other files may lie in the folder, and stay.
         foreign: a plug-in's code does it, which may end its process.
     """
@@ -136,9 +140,16 @@ class Task(Result):
     def put(self, record: Mapping[str, Any], temporary: Path) -> None:
         """Put a folder that holds the whole result in place, with its record."""
         (temporary / JOB_FILE).unlink(missing_ok=True)
-        names = [file.relative_to(temporary).as_posix() for file in sorted(temporary.rglob("*")) if file.is_file()]
+        names = [
+            file.relative_to(temporary).as_posix()
+            for file in sorted(temporary.rglob("*"))
+            if file.is_file()
+        ]
         files = {name: (temporary / name).stat().st_size for name in names}
-        write_json(temporary / JOB_FILE, {"sha256": self.sha256, "identity": self.inputs, "files": files, **record})
+        write_json(
+            temporary / JOB_FILE,
+            {"sha256": self.sha256, "identity": self.inputs, "files": files, **record},
+        )
         if self.joins:
             for name in (*names, JOB_FILE):
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -149,17 +160,22 @@ class Task(Result):
         shutil.rmtree(self.folder, ignore_errors=True)
         try:
             temporary.replace(self.folder)
-        except OSError:  # a cluster that lost sight of a worker gave the task to another, which was faster
+        # a cluster that lost sight of a worker gave the task to another, which was faster
+        except OSError:
             if not self.is_done():
                 raise
 
     @contextmanager
     def _workspace(self, scratch: Path) -> Iterator[Path]:
-        """Give the folder to work in: a scratch folder, or one that outlives a kill, for one process at a time."""
+        """Give the folder to work in: a scratch folder, or one that outlives a kill, for one
+        process at a time.
+        """
         if not self.resumes:
             yield scratch
             return
-        unfinished = self.folder.with_name(f".{self.folder.name}.{self.sha256[:KEPT_OF_HASH]}.{UNFINISHED}")
+        unfinished = self.folder.with_name(
+            f".{self.folder.name}.{self.sha256[:KEPT_OF_HASH]}.{UNFINISHED}"
+        )
         for folder in self.folder.parent.glob(f".{glob.escape(self.folder.name)}.*.{UNFINISHED}"):
             if folder != unfinished:  # of a task that is no longer wanted
                 shutil.rmtree(folder, ignore_errors=True)
@@ -169,16 +185,19 @@ class Task(Result):
 
 @dataclass(frozen=True, kw_only=True)
 class FileTask(Result):
-    """Files of one folder that are made from the same, each written whole; those that are there stay.
+    """Files of one folder that are made from the same, each written whole.
+
+    Those that are there stay.
 
     Attributes:
         inputs: everything that they depend on, as JSON values.
         files: their names.
-        make: called with the names of those to make; it writes them into the folder. None for what is
-            made by other means.
+        make: called with the names of those to make; it writes them into the folder. None for what
+            is made by other means.
         needs: what it reads: its files need the files of the same names.
         passes: whether they may go once all that needs them is done.
-        addressed: whether the folder is called by the hash of the inputs, so that what is there is theirs.
+        addressed: whether the folder is called by the hash of the inputs, so that what is there is
+            theirs.
     """
 
     inputs: Mapping[str, Any]
@@ -199,11 +218,16 @@ class FileTask(Result):
     def left(self) -> "FileTask | None":
         """Return the task with the files that are missing; None if none are.
 
-        A file without a status was written whole from these inputs by a process that was killed then.
+        A file without a status was written whole from these inputs by a process that was killed
+        then.
         """
         record = read_record(self.folder)
         is_same, files = self.addressed or record.get("sha256") == self.sha256, record["files"]
-        missing = [name for name in self.files if not (is_same and _is_whole(self.folder / name, files.get(name)))]
+        missing = [
+            name
+            for name in self.files
+            if not (is_same and _is_whole(self.folder / name, files.get(name)))
+        ]
         return self.of(missing) if missing else None
 
     def of(self, names: Iterable[str]) -> "FileTask":
@@ -221,7 +245,9 @@ class FileTask(Result):
         self.note()
 
     def begin(self) -> None:
-        """Open the folder: what was made from something else stays until it is replaced, and counts as missing."""
+        """Open the folder: what was made from something else stays until it is replaced, and counts
+        as missing.
+        """
         with locked(self.folder):
             if read_record(self.folder).get("sha256") == self.sha256:
                 return
@@ -238,7 +264,8 @@ class FileTask(Result):
 
     def _write(self, files: Mapping[str, Status]) -> None:
         record = {"sha256": self.sha256, "identity": self.inputs, "files": files}
-        write_text(self.folder / JOB_FILE, json.dumps(record))  # indented it takes ten times as long
+        # indented it takes ten times as long
+        write_text(self.folder / JOB_FILE, json.dumps(record))
 
 
 AnyTask = Task | FileTask
@@ -259,8 +286,8 @@ def run_batch(tasks: Sequence[Task]) -> None:
 def left_of(tasks: Iterable[AnyTask]) -> list[AnyTask]:
     """List what is left to make of some tasks, each with what it needs before it.
 
-    What only finished tasks need may be gone. Files of one name need the files of that name. Tasks of
-    one folder become one.
+    What only finished tasks need may be gone. Files of one name need the files of that name. Tasks
+    of one folder become one.
     """
     missing: dict[Path, AnyTask] = {}
     for task in tasks:
@@ -289,8 +316,12 @@ def drop_passing(tasks: Sequence[AnyTask]) -> None:
     """Remove the files that only other tasks need, once all of these are done."""
     if left_of(tasks):
         return
-    own_files = {task.folder / name for task in tasks if isinstance(task, FileTask) for name in task.files}
-    needs = [need for task in tasks for need in task.needs if isinstance(need, FileTask) and need.passes]
+    own_files = {
+        task.folder / name for task in tasks if isinstance(task, FileTask) for name in task.files
+    }
+    needs = [
+        need for task in tasks for need in task.needs if isinstance(need, FileTask) and need.passes
+    ]
     for file in {need.folder / name for need in needs for name in need.files} - own_files:
         with suppress(OSError):  # a disk that is read-only keeps it
             file.unlink()
@@ -313,8 +344,8 @@ def read_record(folder: Path) -> dict[str, Any]:
 def _is_whole(file: Path, status: Status | None) -> bool:
     """Return whether a file is as it was noted; a copy has other times and the same digest.
 
-    While the status is the same, so is the content: writing a file sets a time (ctime) that cannot be set
-    back.
+    While the status is the same, so is the content: writing a file sets a time (ctime) that cannot
+    be set back.
     """
     if status is None or not file.is_file():
         return file.is_file()
@@ -322,7 +353,8 @@ def _is_whole(file: Path, status: Status | None) -> bool:
 
 
 def _status(file: Path) -> Status:
-    return [*_times(file), digest_files([file])]  # times first: what is written meanwhile shows in the next ones
+    # times first: what is written meanwhile shows in the next ones
+    return [*_times(file), digest_files([file])]
 
 
 def _times(file: Path) -> list[int]:

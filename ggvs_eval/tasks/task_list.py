@@ -24,7 +24,8 @@ class TaskList:
     """The tasks of one stage of a run or a sweep.
 
     Attributes:
-        root: folder of the run or sweep; the folders of tasks are in it, or next to it where runs share them.
+        root: folder of the run or sweep; the folders of tasks are in it, or next to it where runs
+            share them.
         stage: ``fit``, ``render`` or ``score``.
     """
 
@@ -37,7 +38,10 @@ class TaskList:
         return self.root / JOBS_FOLDER / f"{self.stage}.json"
 
     def write(self, tasks: Sequence[Task], keep: bool = False) -> None:
-        """Write the list of tasks; `keep` leaves what is there for other folders, of another shard or sweep."""
+        """Write the list of tasks.
+
+        `keep` leaves what is there for other folders, of another shard or sweep.
+        """
         records = {self._relative(task.folder): vars(task.made) | {"folder": ""} for task in tasks}
         if keep and self.file.is_file():
             records = read_json(self.file)["jobs"] | records
@@ -57,13 +61,19 @@ class TaskList:
         write_json(note, {"sha256": result.sha256, **vars(failure)})
 
     def failure(self, result: Made) -> Failure | None:
-        """Return the failure of this very task when it was last tried, or None if it did not fail."""
+        """Return the failure of this very task when it was last tried, or None if it did
+        not fail.
+        """
         try:
             record = read_json(self._note(result))
         except ResultsError:
             return None
         is_current = record["sha256"] == result.sha256
-        return Failure(**{field: record[field] for field in ("name", "message", "traceback")}) if is_current else None
+        return (
+            Failure(**{field: record[field] for field in ("name", "message", "traceback")})
+            if is_current
+            else None
+        )
 
     def _note(self, result: Made) -> Path:
         name = hashlib.sha256(self._relative(result.batch).encode()).hexdigest()[:16]

@@ -1,1 +1,3 @@
-"""Fidelity of single frames: differences of pixels, structure, learned features, parts of the image."""
+"""Fidelity of single frames: differences of pixels, structure, learned features, parts of the
+image.
+"""

@@ -11,18 +11,34 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.metrics.colour_moments import ColourMoments
-from ggvs_eval.metrics.image.lpips import distance_to_truth, frames_note, is_looked_at, lpips, weights_file
+from ggvs_eval.metrics.image.lpips import (
+    distance_to_truth,
+    frames_note,
+    is_looked_at,
+    lpips,
+    weights_file,
+)
 from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
 from ggvs_eval.metrics.image.ssim import masked_ssim, ssim
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts
+from ggvs_eval.metrics.metric import (
+    QUALITY,
+    ColourMap,
+    FramePair,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+    shared_by_parts,
+)
 
 
 def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
     """PSNR after the affine colour map (3 x 4) that fits the rendered pixels best to the truth.
 
     Args:
-        rendered: one frame (H, W, 3) or the frames of one view (T, H, W, 3), uint8 in 0..255 or float in [0, 1].
+        rendered: one frame (H, W, 3) or the frames of one view (T, H, W, 3), uint8 in 0..255 or
+            float in [0, 1].
         truth: same shape and kind.
 
     Returns:
@@ -42,16 +58,30 @@ def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
         See `ColourMoments`; the corrected frame is clipped to black and white and not rounded.
     """
     check_pair(rendered, truth, ndim=4 if truth.ndim == 4 else 3)
-    rendered_frames, truth_frames = (image.reshape(-1, *truth.shape[-3:]) for image in (rendered, truth))
+    rendered_frames, truth_frames = (
+        image.reshape(-1, *truth.shape[-3:]) for image in (rendered, truth)
+    )
     colour_map = fit_colour_map(rendered_frames, truth_frames)
     frames = zip(rendered_frames, truth_frames, strict=True)
-    return float(np.mean([psnr(apply_colour_map(colour_map, frame), unit_range(target)) for frame, target in frames]))
+    return float(
+        np.mean(
+            [
+                psnr(apply_colour_map(colour_map, frame), unit_range(target))
+                for frame, target in frames
+            ]
+        )
+    )
 
 
 class CorrectedScorer:
-    """Metrics of the frame after an affine colour map; without a map of the view each frame has its own."""
+    """Metrics of the frame after an affine colour map.
 
-    def __init__(self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None) -> None:
+    Without a map of the view each frame has its own.
+    """
+
+    def __init__(
+        self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None
+    ) -> None:
         self.names = names
         self._options = options
         self._map = colour_map
@@ -65,7 +95,9 @@ class CorrectedScorer:
             "SSIM_cc": lambda: ssim(corrected, captured),
             "LPIPS_cc": lambda: distance_to_truth(corrected, truth, self._options).value,
         }
-        names = [name for name in self.names if name != "LPIPS_cc" or is_looked_at(index, self._options)]
+        names = [
+            name for name in self.names if name != "LPIPS_cc" or is_looked_at(index, self._options)
+        ]
         return [(name, index, measures[name]()) for name in names]
 
     def finish(self) -> list[Value]:
@@ -74,7 +106,10 @@ class CorrectedScorer:
 
 
 def _corrected(rendered: Image8, truth: TruthFrame, colour_map: ColourMap | None) -> Image:
-    """Return the frame after the map of its view, or after its own if there is none; once for all metrics and their parts."""
+    """Return the frame after the map of its view, or after its own if there is none.
+
+    Once for all metrics and their parts.
+    """
 
     def compute() -> Image:
         if colour_map is not None:
@@ -87,11 +122,15 @@ def _corrected(rendered: Image8, truth: TruthFrame, colour_map: ColourMap | None
 
 
 def _psnr_inside(pair: FramePair, mask: Mask) -> float:
-    return masked_psnr(_corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask)
+    return masked_psnr(
+        _corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask
+    )
 
 
 def _ssim_inside(pair: FramePair, mask: Mask) -> float:
-    return masked_ssim(_corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask)
+    return masked_ssim(
+        _corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask
+    )
 
 
 def _lpips_inside(pair: FramePair, mask: Mask) -> float | None:

@@ -1,4 +1,6 @@
-"""D-SSIM 1 and 2: structural dissimilarity as tables of dynamic scenes print it, under the two data ranges that are in use."""
+"""D-SSIM 1 and 2: structural dissimilarity as tables of dynamic scenes print it, under the two data
+ranges that are in use.
+"""
 
 import numpy as np
 
@@ -20,8 +22,8 @@ def dssim(rendered: Image, truth: Image, data_range: int = 1) -> float:
         data_range: 1 for D-SSIM 1, 2 for D-SSIM 2.
 
     Returns:
-        0 for equal frames, at most 1; lower is better. The SSIM is scikit-image's of images in [0, 1]: uniform window of 7 x 7,
-        sample covariance.
+        0 for equal frames, at most 1; lower is better. The SSIM is scikit-image's of images in [0,
+        1]: uniform window of 7 x 7, sample covariance.
 
     Raises:
         MetricError: shapes or kinds differ, or an image is smaller than the window.
@@ -33,10 +35,13 @@ def dssim(rendered: Image, truth: Image, data_range: int = 1) -> float:
         (0.0999, 0.0998)
 
     Reading:
-        The names are of the tables on Neural 3D Video, where some evaluators gave scikit-image the range 1, and others gave none,
-        which for floats means 2: the same frames then score about half.
+        The names are of the tables on Neural 3D Video, where some evaluators gave scikit-image the
+        range 1, and others gave none, which for floats means 2: the same frames then score about
+        half.
     """
-    return _dissimilarity(float(ssim_map(rendered, truth, VARIANTS[data_range]).mean(dtype=np.float64)))
+    return _dissimilarity(
+        float(ssim_map(rendered, truth, VARIANTS[data_range]).mean(dtype=np.float64))
+    )
 
 
 def _dissimilarity(similarity: float) -> float:
@@ -68,7 +73,8 @@ DSSIM1, DSSIM2 = (
         group=FURTHER,
         decimals=4,
         describe=f"(1 - SSIM) / 2, uniform window of 7 x 7, data range {data_range}.0",
-        reference="scikit-image; D-SSIM 1 and 2 as distinguished by Li et al. 2024 (Spacetime Gaussians)",
+        reference="scikit-image; D-SSIM 1 and 2 as distinguished by Li et al. 2024 (Spacetime "
+        "Gaussians)",
         inside=inside,
         inside_note=" in windows wholly inside it",
     )

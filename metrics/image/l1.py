@@ -3,7 +3,14 @@
 import cv2
 
 from ggvs_eval.arrays import Mask
-from ggvs_eval.metrics.inputs import Image, check_pair, mean_inside, require_finite, same_kind, white_level
+from ggvs_eval.metrics.inputs import (
+    Image,
+    check_pair,
+    mean_inside,
+    require_finite,
+    same_kind,
+    white_level,
+)
 from ggvs_eval.metrics.metric import QUALITY, ViewMetric
 
 
@@ -24,7 +31,8 @@ def l1(rendered: Image, truth: Image) -> float:
         5.0
 
     Reading:
-        The paper prints no unit. Only 0..255 with the mean (not the sum) over channels fits its PSNR: 31.17 dB with 5.09.
+        The paper prints no unit. Only 0..255 with the mean (not the sum) over channels fits its
+        PSNR: 31.17 dB with 5.09.
     """
     check_pair(rendered, truth)
     total = float(cv2.norm(*same_kind(rendered, truth), cv2.NORM_L1))
@@ -48,7 +56,9 @@ def masked_l1(rendered: Image, truth: Image, mask: Mask) -> float:
         >>> masked_l1(truth + 5, truth, np.ones((16, 16), bool))
         5.0
     """
-    return require_finite(mean_inside(rendered, truth, mask, cv2.NORM_L1) * 255.0 / white_level(truth), "L1")
+    return require_finite(
+        mean_inside(rendered, truth, mask, cv2.NORM_L1) * 255.0 / white_level(truth), "L1"
+    )
 
 
 L1 = ViewMetric(

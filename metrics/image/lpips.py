@@ -28,7 +28,16 @@ from ggvs_eval.metrics.image.lpips_network import (
     weights_path,
 )
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts
+from ggvs_eval.metrics.metric import (
+    QUALITY,
+    ColourMap,
+    FramePair,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+    shared_by_parts,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -62,10 +71,12 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
         0.0
 
     Reading:
-        The paper names no network. VGG is taken: the evaluators of its baselines use it, and 0.191 at 31 dB fits VGG, not
-        AlexNet. Frames enter in [-1, 1], as the metric was trained; several code bases feed [0, 1] and get other values.
-        ``vgg`` on the CPU is computed by a compiled kernel, within 1e-6 of torch and in half of its time. ``vgg-bf16`` multiplies
-        in bfloat16 by torch and compares in single precision, and is 6e-5 to 9e-5 lower on renders of the demo room.
+        The paper names no network. VGG is taken: the evaluators of its baselines use it, and 0.191
+        at 31 dB fits VGG, not AlexNet. Frames enter in [-1, 1], as the metric was trained; several
+        code bases feed [0, 1] and get other values. ``vgg`` on the CPU is computed by a compiled
+        kernel, within 1e-6 of torch and in half of its time. ``vgg-bf16`` multiplies in bfloat16 by
+        torch and compares in single precision, and is 6e-5 to 9e-5 lower on renders of the demo
+        room.
     """
     check_pair(rendered, truth)
     if net == "vgg":
@@ -75,15 +86,16 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
 
 
 def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features:
-    """Compute the LPIPS features of a frame, so that one truth can be compared with several renders at the cost of one.
+    """Compute the LPIPS features of a frame, so that one truth can be compared with several renders
+    at the cost of one.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
         net: ``vgg``, ``alex`` or ``vgg-bf16``.
 
     Returns:
-        Feature maps of the compared layers, float32: arrays (H', W', C) of ``vgg`` on the CPU, which needs no torch, else tensors
-        (1, C, H', W').
+        Feature maps of the compared layers, float32: arrays (H', W', C) of ``vgg`` on the CPU,
+        which needs no torch, else tensors (1, C, H', W').
     """
     if net not in LAYERS:
         raise MetricError(f"LPIPS: wanted a network of {', '.join(LAYERS)}, got {net!r}")
@@ -94,14 +106,23 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features
 
     weights = load_weights(net, device)
     # On a GPU without rounded factors, and with equal bits from call to call.
-    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
-        features = network_input(image, device)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
+    with (
+        torch.inference_mode(),
+        torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False),
+    ):
+        features = (
+            network_input(image, device)[None]
+            .to(weights["conv0.weight"])
+            .contiguous(memory_format=torch.channels_last)
+        )
         return [tap.float() for tap in tapped_layers(features, LAYERS[net], weights)]
 
 
 def _require_side(image: Image, net: LpipsNet) -> None:
     if min(image.shape[:2]) < MIN_SIDE_PX[net]:
-        raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
+        raise MetricError(
+            f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}"
+        )
 
 
 @dataclass(frozen=True)
@@ -109,14 +130,18 @@ class LpipsDistance:
     """LPIPS of two frames.
 
     Attributes:
-        maps: of each compared layer the distance at every place of the layer, (H', W'); the sum of their means is the value.
+        maps: of each compared layer the distance at every place of the layer, (H', W'); the sum of
+            their means is the value.
     """
 
     value: float
     maps: tuple[NDArray[np.float32], ...]
 
     def inside(self, mask: Mask) -> float:
-        """Distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that are inside."""
+        """Distance of a part of the frame, (H, W) bool.
+
+        A place of a layer counts by the share of its pixels that are inside.
+        """
         count_inside(mask, mask.shape)
         weight = mask.astype(np.float32)
         total = 0.0
@@ -132,59 +157,93 @@ def lpips_between(rendered: Features, truth: Features, net: LpipsNet) -> float:
 
 
 def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> LpipsDistance:
-    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too."""
+    """LPIPS of two frames from their `lpips_features`.
+
+    Those of an 8-bit truth serve float renders too.
+    """
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
-        raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
+        raise MetricError(
+            f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never "
+            f"resample"
+        )
     device = "cpu" if isinstance(truth[0], np.ndarray) else str(truth[0].device)
-    distance: Callable[..., NDArray[np.float32]] = _compiled_distances if device == "cpu" else _device_distances
-    return _distance([distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True)], net)
+    distance: Callable[..., NDArray[np.float32]] = (
+        _compiled_distances if device == "cpu" else _device_distances
+    )
+    return _distance(
+        [distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True)],
+        net,
+    )
 
 
 def _distance(maps: Sequence[NDArray[np.float32]], net: LpipsNet) -> LpipsDistance:
     """Return the distance whose maps these are."""
-    value = require_finite(sum(float(layer.mean(dtype=np.float64)) for layer in maps), f"LPIPS-{net}")
+    value = require_finite(
+        sum(float(layer.mean(dtype=np.float64)) for layer in maps), f"LPIPS-{net}"
+    )
     return LpipsDistance(value, tuple(maps))
 
 
 def compare_in_bands(truth: Image, renderings: Sequence[Image]) -> list[list[NDArray[np.float32]]]:
-    """Compare frames with one truth by VGG on the CPU: the maps of `compare_features`, bit by bit, in a fraction of its memory.
+    """Compare frames with one truth by VGG on the CPU: the maps of `compare_features`, bit by bit,
+    in a fraction of its memory.
 
     Whole features of large frames are never kept: those of 1352 x 1014 pixels are 660 MB a frame.
     """
     _require_side(truth, "vgg")
     heads: Any = load_heads("vgg")
-    halved, distances = compiled_bands([compiled_input(image) for image in (truth, *renderings)], heads)
+    halved, distances = compiled_bands(
+        [compiled_input(image) for image in (truth, *renderings)], heads
+    )
     truth_layers = compiled_layers(halved.pop(0), BANDED_LAYERS)
     for maps in distances:
         layers = compiled_layers(halved.pop(0), BANDED_LAYERS)
-        maps += [_compiled_distances(*layer) for layer in zip(layers, truth_layers, heads[len(maps) :], strict=True)]
+        maps += [
+            _compiled_distances(*layer)
+            for layer in zip(layers, truth_layers, heads[len(maps) :], strict=True)
+        ]
     return distances
 
 
-def _compiled_distances(rendered: Any, truth: Any, weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _compiled_distances(
+    rendered: Any, truth: Any, weights: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Return the weighted squared difference of the unit feature vectors of two frames, (H, W)."""
     features, truth_features = map(_as_array, (rendered, truth))
-    return _features.compare_features(features, truth_features, weights, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    return _features.compare_features(
+        features, truth_features, weights, get_threads(), SIMD_LEVELS.index(get_simd_level())
+    )
 
 
 def _as_array(layer: "NDArray[np.float32] | torch.Tensor") -> NDArray[np.float32]:
     """Return the features (H, W, C) of an array, or of a tensor (1, C, H, W) on the CPU."""
-    return layer if isinstance(layer, np.ndarray) else np.ascontiguousarray(layer[0].permute(1, 2, 0).numpy())
+    return (
+        layer
+        if isinstance(layer, np.ndarray)
+        else np.ascontiguousarray(layer[0].permute(1, 2, 0).numpy())
+    )
 
 
-def _device_distances(rendered: "torch.Tensor", truth: "torch.Tensor", weights: "torch.Tensor") -> NDArray[np.float32]:
+def _device_distances(
+    rendered: "torch.Tensor", truth: "torch.Tensor", weights: "torch.Tensor"
+) -> NDArray[np.float32]:
     """`_compiled_distances` on a device."""
     import torch
 
     with torch.inference_mode():
         features, truth_features = (
-            vectors / (torch.linalg.vector_norm(vectors, dim=1, keepdim=True) + 1e-10) for vectors in (rendered, truth)
+            vectors / (torch.linalg.vector_norm(vectors, dim=1, keepdim=True) + 1e-10)
+            for vectors in (rendered, truth)
         )
-        return torch.einsum("nchw,c->hw", (features - truth_features).square_(), weights).numpy(force=True)
+        return torch.einsum("nchw,c->hw", (features - truth_features).square_(), weights).numpy(
+            force=True
+        )
 
 
 def truth_features(truth: TruthFrame, options: MetricOptions) -> Features:
-    """`lpips_features` of a captured frame, once for all methods and metrics, and for runs scored one after another."""
+    """`lpips_features` of a captured frame, once for all methods and metrics, and for runs scored
+    one after another.
+    """
     net, device = options.lpips_net, options.device
     return truth.once((lpips_features, net), lambda: _remembered.features(truth.image, net, device))
 
@@ -211,25 +270,33 @@ _remembered = _Remembered(REMEMBERED_BYTES)
 
 
 def _bands_of(rendered: Image, truth: TruthFrame) -> list[NDArray[np.float32]]:
-    """`compare_in_bands` of a frame, together with others of `TruthFrame.renderings` where it is one of them."""
+    """`compare_in_bands` of a frame, together with others of `TruthFrame.renderings` where it is
+    one of them.
+    """
     renderings = truth.renderings
     at = next((n for n, rendering in enumerate(renderings) if rendering is rendered), None)
     if at is None:
         return compare_in_bands(truth.image, [rendered])[0]
     first = at - at % MOST_AT_ONCE
     together = renderings[first : first + MOST_AT_ONCE]
-    return truth.once((compare_in_bands, first), lambda: compare_in_bands(truth.image, together))[at - first]
+    return truth.once((compare_in_bands, first), lambda: compare_in_bands(truth.image, together))[
+        at - first
+    ]
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:
-    """Return whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
+    """Return whether LPIPS is computed for the frame at this index: it costs as much as all other
+    metrics on many frames.
+    """
     return (options.first_frame + index) % options.lpips_every == 0
 
 
 def frames_note(options: MetricOptions) -> str:
     """Note on sampling and precision."""
     precision = ", in bfloat16" if options.lpips_net == "vgg-bf16" else ""
-    return precision + (f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else "")
+    return precision + (
+        f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else ""
+    )
 
 
 def distance_to_truth(rendered: Image, truth: TruthFrame, options: MetricOptions) -> LpipsDistance:
@@ -239,7 +306,9 @@ def distance_to_truth(rendered: Image, truth: TruthFrame, options: MetricOptions
     def compute() -> LpipsDistance:
         if net == "vgg" and options.device == "cpu" and pixels * PIXEL_BYTES > REMEMBERED_BYTES:
             return _distance(_bands_of(rendered, truth), net)
-        return compare_features(lpips_features(rendered, net, options.device), truth_features(truth, options), net)
+        return compare_features(
+            lpips_features(rendered, net, options.device), truth_features(truth, options), net
+        )
 
     return shared_by_parts(rendered, truth, (compare_features, net), compute)
 
@@ -255,7 +324,9 @@ class LpipsScorer:
 
     names = ("LPIPS",)
 
-    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None
+    ) -> None:
         self._options = options
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:

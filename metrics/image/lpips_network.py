@@ -1,4 +1,6 @@
-"""The networks of LPIPS and DISTS: their weights, and features of frames by torch or by a compiled kernel."""
+"""The networks of LPIPS and DISTS: their weights, and features of frames by torch or by a compiled
+kernel.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +33,10 @@ def weights_path(net: LpipsNet) -> Path:
 
 @dataclass(frozen=True)
 class Layer:
-    """One convolution with its ReLU; `pool` is the (size, stride) of a maximum filter before it, `tap` marks a compared layer."""
+    """One convolution with its ReLU.
+
+    `pool` is the (size, stride) of a maximum filter before it, `tap` marks a compared layer.
+    """
 
     pool: tuple[int, int] | None = None
     stride: int = 1
@@ -59,13 +64,17 @@ LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
         Layer(tap=True),
     ),
 }
-# Of VGG the layers and levels that `compiled_bands` takes; deeper, filters outgrow maps, and a band would share them too little.
+# Of VGG the layers and levels that `compiled_bands` takes; deeper, filters outgrow maps, and a band
+# would share them too little.
 BANDED_LAYERS, BANDED_LEVELS = 7, 3
-MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "vgg-bf16": 16, "alex": 31}  # below, the last layer has no pixel
+# below, the last layer has no pixel
+MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "vgg-bf16": 16, "alex": 31}
 
 
 def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]":
-    """The tensors of a network from the cache folder, read once per process; those of convolutions as torch is fastest with them.
+    """The tensors of a network from the cache folder, read once per process.
+
+    Those of convolutions as torch is fastest with them.
 
     Raises:
         WeightsError: absent, damaged, or tensors of another network.
@@ -73,8 +82,11 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     return _torch_weights(weights_path(net), net, device)
 
 
-def load_heads(net: LpipsNet, device: str = "cpu") -> "list[NDArray[np.float32]] | list[torch.Tensor]":
-    """Weights of channel differences, (C,) per compared layer: arrays, or tensors on a device other than the CPU.
+def load_heads(
+    net: LpipsNet, device: str = "cpu"
+) -> "list[NDArray[np.float32]] | list[torch.Tensor]":
+    """Weights of channel differences, (C,) per compared layer: arrays, or tensors on a device other
+    than the CPU.
 
     Errors are those of `load_weights`.
     """
@@ -88,25 +100,40 @@ def _torch_weights(path: Path, net: LpipsNet, device: str) -> "dict[str, torch.T
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
     with torch.inference_mode(False):  # anyone who asks first, a training may learn by them later
         return {
-            name: _kernel(torch.tensor(array, dtype=torch.float32 if name.startswith("head") else dtype, device=device))
+            name: _kernel(
+                torch.tensor(
+                    array, dtype=torch.float32 if name.startswith("head") else dtype, device=device
+                )
+            )
             for name, array in _read_arrays(path, net).items()
         }
 
 
 @lru_cache(maxsize=1)
 def _packed_layers(path: Path) -> list[tuple[NDArray[np.float32], NDArray[np.float32], bool]]:
-    """VGG's filters, biases and marks of compared layers as the compiled kernel takes them: 235 MB."""
+    """VGG's filters, biases and marks of compared layers as the compiled kernel takes them:
+    235 MB.
+    """
     arrays = _read_arrays(path, "vgg")
     return [
-        (_features.pack_filters(arrays[f"conv{i}.weight"], get_threads()), arrays[f"conv{i}.bias"], layer.tap)
+        (
+            _features.pack_filters(arrays[f"conv{i}.weight"], get_threads()),
+            arrays[f"conv{i}.bias"],
+            layer.tap,
+        )
         for i, layer in enumerate(LAYERS["vgg"])
     ]
 
 
 @lru_cache(maxsize=4)
-def _heads(path: Path, net: LpipsNet, device: str) -> "list[NDArray[np.float32]] | list[torch.Tensor]":
+def _heads(
+    path: Path, net: LpipsNet, device: str
+) -> "list[NDArray[np.float32]] | list[torch.Tensor]":
     arrays = _read_arrays(path, net)
-    heads = [arrays[f"head{i}.weight"].reshape(-1) for i in range(sum(layer.tap for layer in LAYERS[net]))]
+    heads = [
+        arrays[f"head{i}.weight"].reshape(-1)
+        for i in range(sum(layer.tap for layer in LAYERS[net]))
+    ]
     if device == "cpu":
         return heads
     import torch
@@ -120,16 +147,23 @@ def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
     from safetensors.numpy import load_file
 
     if not path.is_file():
-        raise WeightsError(f"LPIPS-{net}: no weights at {path}; run `{FETCH_COMMAND}` with network access")
+        raise WeightsError(
+            f"LPIPS-{net}: no weights at {path}; run `{FETCH_COMMAND}` with network access"
+        )
     try:
         arrays = load_file(path)
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`") from error
+        raise WeightsError(
+            f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`"
+        ) from error
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
-    convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
+    convolution_names = {
+        f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")
+    }
     if set(arrays) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(
-            f"{path}: wanted the tensors of {net}, got those of another network; move it away and run `{FETCH_COMMAND}`"
+            f"{path}: wanted the tensors of {net}, got those of another network; move it away and "
+            f"run `{FETCH_COMMAND}`"
         )
     return arrays
 
@@ -142,11 +176,18 @@ def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
 
 
 def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
-    """A frame as the networks were trained on it, (3, H, W) float32; bytes are uploaded, not the floats that they become."""
+    """A frame as the networks were trained on it, (3, H, W) float32.
+
+    Bytes are uploaded, not the floats that they become.
+    """
     import torch
 
     levels = image if image.dtype == np.uint8 else image.astype(np.float32)
-    signed = torch.from_numpy(np.ascontiguousarray(levels)).to(device).float() * (2.0 / white_level(image)) - 1.0
+    signed = (
+        torch.from_numpy(np.ascontiguousarray(levels)).to(device).float()
+        * (2.0 / white_level(image))
+        - 1.0
+    )
     shift, scale = (torch.tensor(values, device=device) for values in (COLOUR_SHIFT, COLOUR_SCALE))
     return ((signed - shift) / scale).permute(2, 0, 1)
 
@@ -162,7 +203,10 @@ def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
     """`network_input` of a batch (B, 3, H, W) in [0, 1], through which gradients flow."""
     import torch
 
-    shift, scale = (torch.tensor(values, device=images.device)[:, None, None] for values in (COLOUR_SHIFT, COLOUR_SCALE))
+    shift, scale = (
+        torch.tensor(values, device=images.device)[:, None, None]
+        for values in (COLOUR_SHIFT, COLOUR_SCALE)
+    )
     return (images * 2 - 1 - shift) / scale
 
 
@@ -183,8 +227,11 @@ def tapped_layers(
     return taps
 
 
-def compiled_layers(features: NDArray[np.float32], first: int = 0, last: int | None = None) -> list[NDArray[np.float32]]:
-    """Some of VGG's layers by the compiled kernel, which takes half of torch's time and none to load it.
+def compiled_layers(
+    features: NDArray[np.float32], first: int = 0, last: int | None = None
+) -> list[NDArray[np.float32]]:
+    """Some of VGG's layers by the compiled kernel, which takes half of torch's time and none to
+    load it.
 
     Args:
         features: (H, W, C) what enters the first of them; `compiled_input` enters layer 0.
@@ -195,21 +242,27 @@ def compiled_layers(features: NDArray[np.float32], first: int = 0, last: int | N
         Those that are compared, (H', W', C') each, within 1e-5 of the largest of torch's.
     """
     layers = _packed_layers(weights_path("vgg"))[first:last]
-    return list(_features.feature_maps(features, layers, get_threads(), SIMD_LEVELS.index(get_simd_level())))
+    return list(
+        _features.feature_maps(features, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    )
 
 
 def compiled_bands(
     frames: Sequence[NDArray[np.float32]], heads: Sequence[NDArray[np.float32]]
 ) -> tuple[list[NDArray[np.float32]], list[list[NDArray[np.float32]]]]:
-    """Run frames through VGG's first layers together, by bands of rows, and compare all with the first one.
+    """Run frames through VGG's first layers together, by bands of rows, and compare all with the
+    first one.
 
     Args:
         frames: `compiled_input`, of one size.
         heads: see `load_heads`.
 
     Returns:
-        What layer `BANDED_LAYERS` takes of each frame, and of each but the first its distances at the levels before, (H', W')
-        each; their bits are those of whole maps.
+        What layer `BANDED_LAYERS` takes of each frame, and of each but the first its distances at
+        the levels before, (H', W') each; their bits are those of whole maps.
     """
-    layers, level = _packed_layers(weights_path("vgg"))[:BANDED_LAYERS], SIMD_LEVELS.index(get_simd_level())
+    layers, level = (
+        _packed_layers(weights_path("vgg"))[:BANDED_LAYERS],
+        SIMD_LEVELS.index(get_simd_level()),
+    )
     return _features.compare_banded(frames, layers, heads[:BANDED_LEVELS], get_threads(), level)

@@ -17,7 +17,8 @@ Planes = NDArray[np.float64]
 
 
 def ms_ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Multi-scale structural similarity of one frame (Wang, Simoncelli, Bovik 2003), mean over the RGB channels.
+    """Multi-scale structural similarity of one frame (Wang, Simoncelli, Bovik 2003), mean over the
+    RGB channels.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1], at least 161 pixels high and wide.
@@ -25,33 +26,45 @@ def ms_ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
         mask: (H, W), the part that counts; None for the whole frame.
 
     Returns:
-        Product over five scales of the mean contrast and structure, at the coarsest with luminance, each to its power; at most 1,
-        higher is better.
+        Product over five scales of the mean contrast and structure, at the coarsest with luminance,
+        each to its power; at most 1, higher is better.
 
     Raises:
-        MetricError: shapes or kinds differ, the frames are too small, or the part holds no window of some scale.
+        MetricError: shapes or kinds differ, the frames are too small, or the part holds no window
+            of some scale.
 
     Example:
         >>> import numpy as np
         >>> truth = np.full((176, 176, 3), 100, np.uint8)
-        >>> ms_ssim(truth, truth), round(ms_ssim(truth // 2, truth), 2)  # flat: luminance alone differs
+        >>> (
+        ...     ms_ssim(truth, truth),
+        ...     round(ms_ssim(truth // 2, truth), 2),
+        ... )  # flat: luminance alone differs
         (1.0, 0.97)
 
     Reading:
-        Gaussian window 11 x 11 at valid positions, data range 1, scales by the mean of 2 x 2 pixels, negative means cut off at 0.
-        Of a part count the windows whose centre is in it: no window of 11 pixels of the coarsest scale, 176 of the frame, would
-        are wholly inside of what usually moves.
+        Gaussian window 11 x 11 at valid positions, data range 1, scales by the mean of 2 x 2
+        pixels, negative means cut off at 0. Of a part count the windows whose centre is in it: no
+        window of 11 pixels of the coarsest scale, 176 of the frame, would are wholly inside of what
+        usually moves.
     """
     check_pair(rendered, truth)
     if min(truth.shape[:2]) < SMALLEST_PX:
-        raise MetricError(f"MS-SSIM needs {SMALLEST_PX} pixels a side for five scales, got {truth.shape[0]} x {truth.shape[1]}")
+        raise MetricError(
+            f"MS-SSIM needs {SMALLEST_PX} pixels a side for five scales, got {truth.shape[0]} x "
+            f"{truth.shape[1]}"
+        )
     if mask is not None:
         count_inside(mask, truth.shape[:2])
     pair = rendered / white_level(rendered), truth / white_level(truth)
     factors: list[Planes] = []
     for scale, weight in enumerate(WEIGHTS):
         values = _maps(*pair)[0 if scale == len(WEIGHTS) - 1 else 1]
-        mean = values.mean(axis=(0, 1)) if mask is None else _centred(values, mask, pair[0].shape).mean(axis=0)
+        mean = (
+            values.mean(axis=(0, 1))
+            if mask is None
+            else _centred(values, mask, pair[0].shape).mean(axis=0)
+        )
         factors.append(np.maximum(mean, 0) ** weight)
         pair = _halved(pair[0]), _halved(pair[1])
     return require_finite(float(np.prod(factors, axis=0).mean()), "MS-SSIM")
@@ -71,7 +84,10 @@ def _centred(values: Planes, mask: Mask, shape: tuple[int, ...]) -> Planes:
     share = cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_AREA)
     window_values = values[share[reach:-reach, reach:-reach] >= 0.5]
     if not window_values.size:
-        raise MetricError("the region is too small, or too near the border, for a window of MS-SSIM's coarsest scales")
+        raise MetricError(
+            "the region is too small, or too near the border, for a window of MS-SSIM's coarsest "
+            "scales"
+        )
     return window_values
 
 
@@ -85,7 +101,9 @@ def _halved(image: Planes) -> Planes:
     """Return the means of 2 x 2 pixels; an odd size has a rim of zeros first."""
     padded = np.pad(image, [(size % 2, size % 2) for size in image.shape[:2]] + [(0, 0)])
     height, width = (size // 2 for size in padded.shape[:2])
-    return np.asarray(padded[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).mean(axis=(1, 3)))
+    return np.asarray(
+        padded[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).mean(axis=(1, 3))
+    )
 
 
 MS_SSIM = ViewMetric(

@@ -4,7 +4,14 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Mask
-from ggvs_eval.metrics.inputs import Image, check_pair, mean_inside, require_finite, same_kind, white_level
+from ggvs_eval.metrics.inputs import (
+    Image,
+    check_pair,
+    mean_inside,
+    require_finite,
+    same_kind,
+    white_level,
+)
 from ggvs_eval.metrics.metric import QUALITY, FramePair, ViewMetric
 
 PSNR_CEILING_DB = 100.0
@@ -30,8 +37,9 @@ def psnr(rendered: Image, truth: Image) -> float:
         34.15
 
     Reading:
-        Identical frames would score infinity, and one of them would make every mean infinite. They score 100 dB, and so does what
-        is above: with 8 bits that is less than one step in one value of 25 000. A view's score is the mean of its PSNRs.
+        Identical frames would score infinity, and one of them would make every mean infinite. They
+        score 100 dB, and so does what is above: with 8 bits that is less than one step in one value
+        of 25 000. A view's score is the mean of its PSNRs.
     """
     check_pair(rendered, truth)
     return decibels(_mean_squared_error(rendered, truth), white_level(truth))
@@ -63,7 +71,9 @@ def masked_psnr(rendered: Image, truth: Image, mask: Mask) -> float:
 def decibels(mean_squared_error: float, white: float) -> float:
     """PSNR of a mean squared error of images whose white is `white`, at most `PSNR_CEILING_DB`."""
     floor = 10.0 ** (-PSNR_CEILING_DB / 10.0)
-    return float(-10.0 * np.log10(max(require_finite(mean_squared_error, "PSNR") / white**2, floor)))
+    return float(
+        -10.0 * np.log10(max(require_finite(mean_squared_error, "PSNR") / white**2, floor))
+    )
 
 
 def _mean_squared_error(rendered: Image, truth: Image) -> float:

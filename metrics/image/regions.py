@@ -11,7 +11,16 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.metric import REGION, ColourMap, FramePair, Inside, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import (
+    REGION,
+    ColourMap,
+    FramePair,
+    Inside,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 
 Region = Literal["static", "moving", "disoccluded"]
 WORDS: dict[Region, str] = {
@@ -19,7 +28,8 @@ WORDS: dict[Region, str] = {
     "moving": "what moves",
     "disoccluded": "areas that no source camera sees",
 }
-# A change of colour by 9 of 255 levels at a quarter of the size, well above sensor noise averaged over 16 pixels.
+# A change of colour by 9 of 255 levels at a quarter of the size, well above sensor noise averaged
+# over 16 pixels.
 MOVING_ABOVE_BETA = 0.05
 BETA = 0.6
 
@@ -34,8 +44,9 @@ def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
         (H, W), true where something moves.
 
     Reading:
-        The paper's mask is a weight in [beta, 1]; moving is where it rises 0.05 above beta, which is a colour change of 9 of 255
-        levels. What moves was somewhere else before: both places count, as in the mask itself.
+        The paper's mask is a weight in [beta, 1]; moving is where it rises 0.05 above beta, which
+        is a colour change of 9 of 255 levels. What moves was somewhere else before: both places
+        count, as in the mask itself.
     """
     check_pair(truth, previous)
     if truth.dtype != np.uint8:
@@ -44,7 +55,10 @@ def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
 
 
 def region_mask(truth: TruthFrame, region: Region) -> Mask | None:
-    """Return the mask of a region; None in the first frame, where motion is undefined, and where masks are not known."""
+    """Return the mask of a region.
+
+    None in the first frame, where motion is undefined, and where masks are not known.
+    """
     previous = truth.previous
     if region == "disoccluded":
         return truth.disoccluded
@@ -57,19 +71,37 @@ def region_mask(truth: TruthFrame, region: Region) -> Mask | None:
 class PartScorer:
     """A metric of one region; frames in which it is too small, or not known, have no value."""
 
-    def __init__(self, name: str, region: Region, inside: Inside, options: MetricOptions, colour_map: ColourMap | None) -> None:
+    def __init__(
+        self,
+        name: str,
+        region: Region,
+        inside: Inside,
+        options: MetricOptions,
+        colour_map: ColourMap | None,
+    ) -> None:
         self.names = (name,)
         self._region = region
         self._inside = inside
         self._options = options
         self._colour_map = colour_map
         self._previous: Image8 | None = None
-        self._reason = "no masks; run `ggvs-eval prepare`" if region == "disoccluded" else "motion needs 2 frames"
+        self._reason = (
+            "no masks; run `ggvs-eval prepare`"
+            if region == "disoccluded"
+            else "motion needs 2 frames"
+        )
         self._is_measured = False
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        pair = FramePair(index, rendered, truth, self._previous, self._options, self._colour_map)
+        pair = FramePair(
+            index=index,
+            rendered=rendered,
+            truth=truth,
+            previous=self._previous,
+            options=self._options,
+            colour_map=self._colour_map,
+        )
         self._previous = rendered
         mask = region_mask(truth, self._region)
         if mask is None:
@@ -92,11 +124,17 @@ class PartScorer:
 
 
 class PairPartScorer(PartScorer):
-    """A metric of pairs of neighbouring frames in one region, whose values belong to the first frame."""
+    """A metric of pairs of neighbouring frames in one region, whose values belong to the first
+    frame.
+    """
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        return [(name, later - 1, value) for name, later, value in super().add(index, rendered, truth) if later is not None]
+        return [
+            (name, later - 1, value)
+            for name, later, value in super().add(index, rendered, truth)
+            if later is not None
+        ]
 
 
 def metric_of_part(metric: ViewMetric, region: Region) -> ViewMetric:
@@ -114,9 +152,12 @@ def metric_of_part(metric: ViewMetric, region: Region) -> ViewMetric:
         describe=f"{metric.name} of {WORDS[region]}{metric.inside_note}",
         note=metric.note,
         reference="regions by the masks of Eq. 1",
-        scorer=partial(_scorer, PairPartScorer if metric.kind == "pair" else PartScorer, name, region, inside),
+        scorer=partial(
+            _scorer, PairPartScorer if metric.kind == "pair" else PartScorer, name, region, inside
+        ),
         weights=metric.weights,
-        on_device=metric.on_device and metric.weights is not None,  # of networks; windows of a part are compared on the CPU
+        # of networks; windows of a part are compared on the CPU
+        on_device=metric.on_device and metric.weights is not None,
         corrects_colours=metric.corrects_colours,
     )
 

@@ -1,4 +1,6 @@
-"""Sharpness of an image: the contrast of neighbouring pixels, shown next to every value that blur improves."""
+"""Sharpness of an image: the contrast of neighbouring pixels, shown next to every value that blur
+improves.
+"""
 
 import cv2
 
@@ -10,14 +12,15 @@ PERCENT = 100.0
 
 
 def sharpness(image: Image) -> float:
-    """Return the mean absolute difference of neighbouring pixels, the total variation over space per pixel.
+    """Return the mean absolute difference of neighbouring pixels, the total variation over space
+    per pixel.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
 
     Returns:
-        Mean over channels of the mean over horizontal and over vertical neighbours, per cent of white. Of two renderings of one
-        scene the blurred one has less; noise raises it.
+        Mean over channels of the mean over horizontal and over vertical neighbours, per cent of
+        white. Of two renderings of one scene the blurred one has less; noise raises it.
 
     Raises:
         MetricError: not RGB, below 2 x 2 pixels, or values that are not finite.
@@ -25,16 +28,20 @@ def sharpness(image: Image) -> float:
     Example:
         >>> import numpy as np
         >>> stripes = np.zeros((4, 4, 3), np.uint8)
-        >>> stripes[:, ::2] = 51  # every neighbour to the side is a fifth of white away, none above or below
+        >>> stripes[:, ::2] = (
+        ...     51  # every neighbour to the side is a fifth of white away, none above or below
+        ... )
         >>> sharpness(stripes)
         10.0
 
     Reading:
-        In the units of mTV, so that their ratio is a shift: a picture that moves by a small part of a pixel from frame to frame
-        changes by that part of its mean difference along the motion.
+        In the units of mTV, so that their ratio is a shift: a picture that moves by a small part of
+        a pixel from frame to frame changes by that part of its mean difference along the motion.
     """
     if image.ndim != 3 or image.shape[-1] != 3 or min(image.shape[:2]) < 2:
-        raise MetricError(f"sharpness: wanted RGB (height, width, 3) of 2 x 2 pixels or more, got {image.shape}")
+        raise MetricError(
+            f"sharpness: wanted RGB (height, width, 3) of 2 x 2 pixels or more, got {image.shape}"
+        )
     across = mean_difference(image[:, 1:], image[:, :-1])
     down = mean_difference(image[1:], image[:-1])
     return require_finite((across + down) / 2, "sharpness")
@@ -42,7 +49,11 @@ def sharpness(image: Image) -> float:
 
 def mean_difference(first: Image, second: Image) -> float:
     """Return the mean absolute difference over pixels and channels, per cent of white."""
-    return PERCENT * float(cv2.norm(*same_kind(first, second), cv2.NORM_L1)) / (white_level(first) * first.size)
+    return (
+        PERCENT
+        * float(cv2.norm(*same_kind(first, second), cv2.NORM_L1))
+        / (white_level(first) * first.size)
+    )
 
 
 SHARPNESS = ViewMetric(
@@ -53,7 +64,8 @@ SHARPNESS = ViewMetric(
     higher_is_better=True,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute difference of neighbouring pixels; higher stability with lower sharpness is blur, noise raises it",
+    describe="mean absolute difference of neighbouring pixels; higher stability with lower "
+    "sharpness is blur, noise raises it",
     reference="docs/metrics.md",
     series=Series(1, lambda frames, _static: sharpness(*frames)),
 )

@@ -1,4 +1,6 @@
-"""Noise of sensor and codec, measured on the static parts of a captured view, and further realisations of it."""
+"""Noise of sensor and codec, measured on the static parts of a captured view, and further
+realisations of it.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -32,14 +34,18 @@ MAX_HELD = 0.98
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of one view: Gaussian, its strength by brightness, correlated over channels, space and time.
+    """Noise of one view: Gaussian, its strength by brightness, correlated over channels, space and
+    time.
 
     Attributes:
         brightness_255: centres of the brightness bins, (B,), grey levels of 255.
-        sigma_255: standard deviation per bin and channel, (B, 3), without that of rounding; between centres it is interpolated.
+        sigma_255: standard deviation per bin and channel, (B, 3), without that of rounding; between
+            centres it is interpolated.
         axes: directions in RGB along which noise is uncorrelated, (3, 3), one per column.
-        octave_variance: variance along each axis of the noise whose grain is 1, 2, 4, ... 32 pixels, (6, 3).
-        octave_held: what each of these keeps from one frame to the next, a correlation in [0, 1), (6, 3).
+        octave_variance: variance along each axis of the noise whose grain is 1, 2, 4, ... 32
+            pixels, (6, 3).
+        octave_held: what each of these keeps from one frame to the next, a correlation in [0, 1),
+            (6, 3).
         static_share: share of the blocks, over all frames, that stood still and were used.
     """
 
@@ -53,23 +59,37 @@ class NoiseModel:
 
     @property
     def spatial_correlation(self) -> float:
-        """Correlation of the noise of neighbouring pixels, mean of both directions and all channels; 0 for white noise."""
+        """Correlation of the noise of neighbouring pixels, mean of both directions and all
+        channels; 0 for white noise.
+        """
         share = shares_of(self.octave_variance)
         return float(share @ octave_responses()[1])
 
     def sigma_at(self, image: NDArray) -> Field:
-        """Return the standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
+        """Return the standard deviation of the noise at each value of an image, same shape, grey
+        levels of 255.
+        """
         levels = np.arange(256)
-        curves = np.stack([np.interp(levels, self.brightness_255, self.sigma_255[:, c]) for c in range(3)], axis=-1)
+        curves = np.stack(
+            [np.interp(levels, self.brightness_255, self.sigma_255[:, c]) for c in range(3)],
+            axis=-1,
+        )
         index = round_levels(image)
-        return np.stack([cv2.LUT(index[..., c], curves[:, c].astype(np.float32)) for c in range(3)], axis=-1)
+        return np.stack(
+            [cv2.LUT(index[..., c], curves[:, c].astype(np.float32)) for c in range(3)], axis=-1
+        )
 
     def sample(self, clean: NDArray, random: np.random.Generator) -> Image8:
         """Return one noisy recording of a clean frame (H, W, 3) in 0..255, rounded to 8 bit."""
         return next(self.sample_video([clean], random))
 
-    def sample_video(self, clean: Iterable[NDArray], random: np.random.Generator) -> Iterator[Image8]:
-        """Yield a noisy recording of clean frames, one by one; what noise keeps over time is kept."""
+    def sample_video(
+        self, clean: Iterable[NDArray], random: np.random.Generator
+    ) -> Iterator[Image8]:
+        """Yield a noisy recording of clean frames, one by one.
+
+        What noise keeps over time is kept.
+        """
         noise = NoiseStream(self, random)
         for frame in clean:
             yield round_levels(frame + noise.draw(frame))
@@ -86,10 +106,16 @@ class NoiseStream:
         self._model = model
         self._random = random
         self._held: dict[int, Field] = {}
-        self._deviation = np.sqrt(np.maximum(np.einsum("ia,oa,ia->i", model.axes, model.octave_variance, model.axes), 1e-12))
+        self._deviation = np.sqrt(
+            np.maximum(
+                np.einsum("ia,oa,ia->i", model.axes, model.octave_variance, model.axes), 1e-12
+            )
+        )
 
     def draw(self, clean: NDArray) -> Field:
-        """Return the noise of the next frame, (H, W, 3), grey levels of 255, to be added to `clean` (H, W, 3) in 0..255."""
+        """Return the noise of the next frame, (H, W, 3), grey levels of 255, to be added to `clean`
+        (H, W, 3) in 0..255.
+        """
         height, width = clean.shape[:2]
         unit = np.zeros((height, width, 3), np.float32)
         for octave, variance in enumerate(self._model.octave_variance):
@@ -98,28 +124,39 @@ class NoiseStream:
         return unit * (self._model.sigma_at(clean) / self._deviation.astype(np.float32))
 
     def _octave(self, octave: int, height: int, width: int) -> Field:
-        """Return the noise of one grain, drawn on its own coarse grid and carried over from the frame before."""
+        """Return the noise of one grain, drawn on its own coarse grid and carried over from the
+        frame before.
+        """
         grain = SCALES_PX[octave]
         persistence = self._model.octave_held[octave].astype(np.float32)
         rows, columns = -(-height // grain), -(-width // grain)
         fresh = self._random.standard_normal((rows, columns, 3), dtype=np.float32)
         before = self._held.get(octave)
-        state = fresh if before is None or not persistence.any() else persistence * before + np.sqrt(1 - persistence**2) * fresh
+        state = (
+            fresh
+            if before is None or not persistence.any()
+            else persistence * before + np.sqrt(1 - persistence**2) * fresh
+        )
         self._held[octave] = state
-        mixing = self._model.axes * np.sqrt(self._model.octave_variance[octave])  # (3, 3), axis to RGB
+        # (3, 3), axis to RGB
+        mixing = self._model.axes * np.sqrt(self._model.octave_variance[octave])
         coarse = cv2.transform(state, mixing.astype(np.float32))
-        return np.asarray(enlarged(coarse, grain)[:height, :width] * np.float32(octave_gains()[octave]), dtype=np.float32)
+        return np.asarray(
+            enlarged(coarse, grain)[:height, :width] * np.float32(octave_gains()[octave]),
+            dtype=np.float32,
+        )
 
 
 class NoiseEstimator:
     """Noise of a view from its frames, one at a time; three frames are held.
 
     Reading:
-        Static are blocks of 8 x 8 pixels whose mean squared change is within the narrow peak that noise makes in the histogram
-        of such changes; each brightness has its own peak. The mean over the 192 values of a block scatters so little that the cut
-        above the peak takes off nothing of the noise, as a cut through single pixels would. Changes over 1 and over 24 frames
-        show how much of the noise is held (H.264 copies blocks and their noise). Noise that never changes is not distinguishable
-        from the scene.
+        Static are blocks of 8 x 8 pixels whose mean squared change is within the narrow peak that
+        noise makes in the histogram of such changes; each brightness has its own peak. The mean
+        over the 192 values of a block scatters so little that the cut above the peak takes off
+        nothing of the noise, as a cut through single pixels would. Changes over 1 and over 24
+        frames show how much of the noise is held (H.264 copies blocks and their noise). Noise that
+        never changes is not distinguishable from the scene.
     """
 
     def __init__(self) -> None:
@@ -154,14 +191,20 @@ class NoiseEstimator:
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
         n_static, n_blocks = self._short.n_within(limits), self._short.n_blocks
         if n_static < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):
-            requirement = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to be static"
+            requirement = (
+                f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} "
+                f"of them to be static"
+            )
             raise MetricError(
-                f"noise: {requirement}, got {n_static} of {n_blocks}; give more frames, or a view with static content"
+                f"noise: {requirement}, got {n_static} of {n_blocks}; give more frames, or a view "
+                f"with static content"
             )
         slow = self._long if self._long.n_within(limits) >= MIN_BLOCKS else self._short
         return self._model(slow, limits, n_static / n_blocks)
 
-    def _model(self, slow: "ChangeTable", limits: NDArray[np.int64], static_share: float) -> NoiseModel:
+    def _model(
+        self, slow: "ChangeTable", limits: NDArray[np.int64], static_share: float
+    ) -> NoiseModel:
         _, axes = np.linalg.eigh(slow.covariance(limits))
         changing = octaves(self._short.variances(limits, axes))
         variance = np.maximum(octaves(slow.variances(limits, axes)), changing)
@@ -169,7 +212,13 @@ class NoiseEstimator:
             persistence = np.where(variance > 0, 1 - changing / variance, 0.0)
         sigma = np.sqrt(np.maximum(slow.variance_by_level(limits) - ROUNDING_VARIANCE, 0))
         return NoiseModel(
-            level_centres(), sigma, axes, variance, np.clip(persistence, 0.0, MAX_HELD), float(static_share), self._frames
+            brightness_255=level_centres(),
+            sigma_255=sigma,
+            axes=axes,
+            octave_variance=variance,
+            octave_held=np.clip(persistence, 0.0, MAX_HELD),
+            static_share=float(static_share),
+            n_frames=self._frames,
         )
 
 

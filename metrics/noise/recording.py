@@ -1,6 +1,8 @@
-"""Further recordings of a coded video: its clean frames, with the sensor's noise, through the same codec.
+"""Further recordings of a coded video: its clean frames, with the sensor's noise, through the same
+codec.
 
-Clean frames are still pixels averaged over time, and moving ones smoothed as far as noise hides their contrast.
+Clean frames are still pixels averaged over time, and moving ones smoothed as far as noise hides
+their contrast.
 """
 
 from collections import deque
@@ -24,14 +26,18 @@ from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, estimat
 MEMORY_FRAMES = 30  # over which a still pixel is averaged
 MIN_AGE_FRAMES = 3  # younger averages are no better than the frame
 AROUND_FRAMES = 6  # before and after, over which pixels are averaged that are static for a moment
-STEP_255 = 1.0  # an average shown in 8 bit follows by steps of at least this; rounding each would make it tremble
+# an average shown in 8 bit follows by steps of at least this; rounding each would make it tremble
+STEP_255 = 1.0
 SMOOTHING_PX = 7
 CONTRAST_FACTOR = 4.0  # contrast up to this multiple of the noise's variance is smoothed away
-STILL_FACTOR = 4.0  # mean squared residual of a block over the variance of its noise; a codec's noise varies by more than white
+# mean squared residual of a block over the variance of its noise; a codec's noise varies by more
+# than white
+STILL_FACTOR = 4.0
 RIM_FACTOR = 1.4  # the same next to a block that moves
 LUMA = np.array([[0.2126, 0.7152, 0.0722]], np.float32)  # of BT.709
 WINDOW_PX = 9  # of half size, over which strengths are compared
-LEAST_VARIANCE = 0.5  # grey levels squared; with less detail of brightness there is nothing to go by
+# grey levels squared; with less detail of brightness there is nothing to go by
+LEAST_VARIANCE = 0.5
 STEEPEST = 3.0
 
 
@@ -52,7 +58,9 @@ class CleanFrame(NamedTuple):
 
 
 def observe(frames: Iterable[Image8]) -> tuple[NoiseModel, Field]:
-    """Return the first pass: the noise, and an average over the last frames to start the second pass from."""
+    """Return the first pass: the noise, and an average over the last frames to start the second
+    pass from.
+    """
     estimator, background = NoiseEstimator(), np.zeros((1, 1, 3), np.float32)
     for index, frame in enumerate(frames):
         estimator.add(frame)
@@ -69,28 +77,49 @@ def clean_frames(
         frames: captured, (H, W, 3) uint8, consumed as a stream.
         noise: see `observe`.
         background: see `observe`.
-        coding_variance: what a codec's steps let change where nothing moves, beyond that noise, grey levels squared.
+        coding_variance: what a codec's steps let change where nothing moves, beyond that noise,
+            grey levels squared.
     """
     rows, columns = (side // BLOCK_PX for side in background.shape[:2])
     age = np.full((rows, columns), min(noise.n_frames, MEMORY_FRAMES), np.float32)
     display, strength = np.rint(background), np.ones_like(age)
     for before, frame, after in _with_neighbours(frames):
         residual = frame - background
-        variance = block_means(noise.sigma_at(background) ** 2).mean(axis=-1) + ROUNDING_VARIANCE + coding_variance
-        energy = np.asarray(block_means(residual * residual).mean(axis=-1) / (variance * (1 + 1 / age)), np.float32)
+        variance = (
+            block_means(noise.sigma_at(background) ** 2).mean(axis=-1)
+            + ROUNDING_VARIANCE
+            + coding_variance
+        )
+        energy = np.asarray(
+            block_means(residual * residual).mean(axis=-1) / (variance * (1 + 1 / age)), np.float32
+        )
         still = _still(energy)
-        strength = np.where(still, strength + (np.clip(energy, 0, 4) - strength) * np.float32(0.2), strength)
+        strength = np.where(
+            still, strength + (np.clip(energy, 0, 4) - strength) * np.float32(0.2), strength
+        )
         settled = still & (age >= MIN_AGE_FRAMES)
         averaged = _to_pixels(settled, frame.shape)
         display = np.where(np.abs(background - display) > STEP_255, np.rint(background), display)
         moving = _clean_moving(frame, (before, after), ~settled, variance, noise)
-        mean, steady = (np.where(averaged, still_value, moving) for still_value in (background, display))
-        yield frame, CleanFrame(mean, steady, averaged, _to_pixels(np.sqrt(strength), frame.shape))
+        mean, steady = (
+            np.where(averaged, still_value, moving) for still_value in (background, display)
+        )
+        yield (
+            frame,
+            CleanFrame(
+                mean=mean,
+                display=steady,
+                averaged=averaged,
+                strength=_to_pixels(np.sqrt(strength), frame.shape),
+            ),
+        )
         age = np.where(still, np.minimum(age + 1, MEMORY_FRAMES), 1)
         background = background + residual / _to_pixels(age, frame.shape)
 
 
-def _with_neighbours(frames: Iterable[Image8]) -> Iterator[tuple[list[Image8], Image8, list[Image8]]]:
+def _with_neighbours(
+    frames: Iterable[Image8],
+) -> Iterator[tuple[list[Image8], Image8, list[Image8]]]:
     """Yield each frame with those before it, the nearest first, and those after it."""
     past: deque[Image8] = deque(maxlen=AROUND_FRAMES)
     stream = iter(frames)
@@ -109,7 +138,9 @@ def _clean_moving(
     variance: Field,
     noise: NoiseModel,
 ) -> Field:
-    """Return a frame where it moves: averaged over neighbours while a block does not change, smoothed where it does at once."""
+    """Return a frame where it moves: averaged over neighbours while a block does not change,
+    smoothed where it does at once.
+    """
     total, count = frame.astype(np.float32), np.ones(blocks.shape, np.float32)
     for side in neighbours:
         unchanged = blocks
@@ -122,11 +153,15 @@ def _clean_moving(
             total += np.where(_to_pixels(unchanged, frame.shape), neighbour, np.float32(0))
             count += unchanged
     enough = _to_pixels(count >= MIN_AGE_FRAMES, frame.shape)
-    return np.where(enough, total / _to_pixels(count, frame.shape), _smoothed(frame, noise.sigma_at(frame)))
+    return np.where(
+        enough, total / _to_pixels(count, frame.shape), _smoothed(frame, noise.sigma_at(frame))
+    )
 
 
 def _smoothed(frame: Image8, sigma: Field) -> Field:
-    """A frame with its noise smoothed away where the local contrast is not above it: a local linear fit to the frame itself."""
+    """A frame with its noise smoothed away where the local contrast is not above it: a local linear
+    fit to the frame itself.
+    """
     window = (SMOOTHING_PX, SMOOTHING_PX)
     image = frame.astype(np.float32)
     mean = cv2.blur(image, window)
@@ -137,15 +172,23 @@ def _smoothed(frame: Image8, sigma: Field) -> Field:
 
 
 def _still(energy: Field) -> NDArray[np.bool_]:
-    """Return the blocks that do not move; next to one that does, less is allowed, since a rim that moves changes little."""
+    """Return the blocks that do not move.
+
+    Next to one that does, less is allowed, since a rim that moves changes little.
+    """
     moving = (energy > STILL_FACTOR).astype(np.uint8)
     beside = cv2.dilate(moving, np.ones((3, 3), np.uint8)) > 0
     return np.asarray(energy <= np.where(beside, RIM_FACTOR, STILL_FACTOR))
 
 
 def _to_pixels(blocks: NDArray, shape: tuple[int, ...]) -> NDArray:
-    """Return the values of blocks at their pixels, (H, W, 1); the last blocks reach to the border."""
-    rows, columns = (np.minimum(np.arange(side) // BLOCK_PX, side // BLOCK_PX - 1) for side in shape[:2])
+    """Return the values of blocks at their pixels, (H, W, 1).
+
+    The last blocks reach to the border.
+    """
+    rows, columns = (
+        np.minimum(np.arange(side) // BLOCK_PX, side // BLOCK_PX - 1) for side in shape[:2]
+    )
     return blocks[rows][:, columns][..., None]
 
 
@@ -156,50 +199,67 @@ def with_colour_detail(frame: Field) -> Field:
         frame: decoded colours, (H, W, 3), grey levels of 255.
 
     Returns:
-        The frame of the same brightness whose colours have detail of single pixels again, same shape.
+        The frame of the same brightness whose colours have detail of single pixels again, same
+        shape.
 
     Reading:
-        No decoder can give this detail back; only its strength is wanted, because it decides what a frame loses when it is coded
-        again. In the octave below, which 4:2:0 keeps, the strength of colour relative to that of brightness is measured in each
-        neighbourhood, with its sign, after brightness has gone through the same halving; that ratio is taken to hold one octave
+        No decoder can give this detail back; only its strength is wanted, because it decides what a
+        frame loses when it is coded again. In the octave below, which 4:2:0 keeps, the strength of
+        colour relative to that of brightness is measured in each neighbourhood, with its sign,
+        after brightness has gone through the same halving; that ratio is taken to hold one octave
         up, where brightness is known.
     """
     height, width = frame.shape[:2]
     luma = cv2.transform(frame, LUMA)
     as_colour = _halved_and_back(luma)
     half_luma, half_colour = (_half(plane) for plane in (as_colour, frame - luma[..., None]))
-    luma_detail, colour_detail = (plane - _halved_and_back(plane) for plane in (half_luma, half_colour))
+    luma_detail, colour_detail = (
+        plane - _halved_and_back(plane) for plane in (half_luma, half_colour)
+    )
     ratio = _strength(colour_detail, luma_detail[..., None])
-    steep = cv2.resize(np.clip(ratio, -STEEPEST, STEEPEST), (width, height), interpolation=cv2.INTER_LINEAR)
+    steep = cv2.resize(
+        np.clip(ratio, -STEEPEST, STEEPEST), (width, height), interpolation=cv2.INTER_LINEAR
+    )
     detailed = frame + steep * (luma - as_colour)[..., None]
-    return np.asarray(detailed + (luma - cv2.transform(detailed, LUMA))[..., None], dtype=np.float32)
+    return np.asarray(
+        detailed + (luma - cv2.transform(detailed, LUMA))[..., None], dtype=np.float32
+    )
 
 
 def _strength(colour: Field, luma: Field) -> Field:
     """Return the ratio of the local deviations, with the sign of the covariance, (h, w, 3)."""
     window = (WINDOW_PX, WINDOW_PX)
-    of_luma, of_colour, together = (cv2.blur(product, window) for product in (luma * luma, colour * colour, colour * luma))
+    of_luma, of_colour, together = (
+        cv2.blur(product, window) for product in (luma * luma, colour * colour, colour * luma)
+    )
     ratio = np.sqrt(of_colour / (of_luma[..., None] + LEAST_VARIANCE))
     return np.asarray(np.sign(together) * ratio, dtype=np.float32)
 
 
 def _half(plane: Field) -> Field:
     height, width = plane.shape[:2]
-    return np.asarray(cv2.resize(plane, (width // 2, height // 2), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.asarray(
+        cv2.resize(plane, (width // 2, height // 2), interpolation=cv2.INTER_AREA), dtype=np.float32
+    )
 
 
 def _halved_and_back(plane: Field) -> Field:
-    """Halve and enlarge a plane, (H, W) or (H, W, C): bicubic both ways, smoothed before it is sampled."""
+    """Halve and enlarge a plane, (H, W) or (H, W, C): bicubic both ways, smoothed before it is
+    sampled.
+    """
     from PIL.Image import Resampling, fromarray
 
     if plane.ndim == 3:
         return np.stack([_halved_and_back(plane[..., c]) for c in range(plane.shape[2])], axis=-1)
     height, width = plane.shape
-    small = fromarray(np.ascontiguousarray(plane)).resize(((width + 1) // 2, (height + 1) // 2), Resampling.BICUBIC)
+    small = fromarray(np.ascontiguousarray(plane)).resize(
+        ((width + 1) // 2, (height + 1) // 2), Resampling.BICUBIC
+    )
     return np.asarray(small.resize((width, height), Resampling.BICUBIC), dtype=np.float32)
 
 
-STILL_STEPS = 2.0  # changes that a codec makes where nothing moves, over the variance of rounding to its steps
+# changes that a codec makes where nothing moves, over the variance of rounding to its steps
+STILL_STEPS = 2.0
 TRIAL_FRAMES = 24  # on which the sensor's noise is found
 TRIALS = 5
 CLOSE = 0.01  # relative
@@ -219,7 +279,9 @@ class Recorder:
         frames: gives the captured frames of the view, from the first on each time it is called.
     """
 
-    def __init__(self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path) -> None:
+    def __init__(
+        self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path
+    ) -> None:
         self._frames, self._coding, self._seed, self._folder = frames, coding, seed, folder
         self.noise, self._background = observe(frames())
         self.sigma_255 = self._find_sensor_noise()
@@ -256,7 +318,10 @@ class Recorder:
         levels = [np.maximum(noise.sigma_255, LEAST_SIGMA) for noise in (again, captured)]
         strength, by_level = np.log(sums[0] / sums[1]), 2 * np.log(levels[0] / levels[1])
         grain = again.spatial_correlation - captured.spatial_correlation
-        if max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH or abs(grain) > LARGEST_GRAIN:
+        if (
+            max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH
+            or abs(grain) > LARGEST_GRAIN
+        ):
             return "noise is not white, or depends on brightness"
         return ""
 
@@ -271,9 +336,10 @@ class Recorder:
         """Return the standard deviation of the noise before the codec, grey levels of 255.
 
         Reading:
-            What a codec leaves of weak noise changes from frame to frame no more than what the codec does alone, but every
-            noisy block costs bits: of two recordings with the same settings, the one with more noise is longer. The clean
-            frames are filmed with noise of several strengths until the film is as long as the capture.
+            What a codec leaves of weak noise changes from frame to frame no more than what the
+            codec does alone, but every noisy block costs bits: of two recordings with the same
+            settings, the one with more noise is longer. The clean frames are filmed with noise of
+            several strengths until the film is as long as the capture.
         """
         captured = float(np.mean(self._coding.frame_bytes[:TRIAL_FRAMES]))
         sigmas, lengths = [0.0], [self._length(0.0)]
@@ -286,7 +352,11 @@ class Recorder:
             if abs(lengths[-1] - captured) < CLOSE * captured:
                 break
             order = np.argsort(sigmas)
-            guess = float(np.interp(captured, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)))
+            guess = float(
+                np.interp(
+                    captured, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)
+                )
+            )
             if captured > max(lengths):
                 guess = min(1.7 * max(sigmas), MAX_SIGMA_255)
         return guess
@@ -297,4 +367,6 @@ class Recorder:
 
 
 def _expose(clean: Field, sigma_255: float, random: np.random.Generator) -> Image8:
-    return round_levels(clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32))
+    return round_levels(
+        clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32)
+    )

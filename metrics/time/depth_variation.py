@@ -12,19 +12,22 @@ from ggvs_eval.metrics.metric import DepthMetric, Series
 
 
 def depth_mtv(later: Map, earlier: Map, static: Mask | None = None) -> float:
-    """Return the mean absolute change of log depth from one frame to the next, times 100: mTV of a depth video.
+    """Return the mean absolute change of log depth from one frame to the next, times 100: mTV of a
+    depth video.
 
     Args:
-        later: depth at t + 1, (H, W) float, any unit, 0 or not finite = unknown; inverse depth (disparity) gives the same value.
+        later: depth at t + 1, (H, W) float, any unit, 0 or not finite = unknown; inverse depth
+            (disparity) gives the same value.
         earlier: depth at t.
         static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
-        Mean over the pixels known in both frames; to first order the change in per cent of the depth. 0 for steady depth, and
-        for a flat one: read it with `depth_sharpness`.
+        Mean over the pixels known in both frames; to first order the change in per cent of the
+        depth. 0 for steady depth, and for a flat one: read it with `depth_sharpness`.
 
     Raises:
-        MetricError: frames or mask do not fit each other, negative depth, or fewer than 64 pixels known in both.
+        MetricError: frames or mask do not fit each other, negative depth, or fewer than 64 pixels
+            known in both.
 
     Example:
         >>> import numpy as np
@@ -33,15 +36,17 @@ def depth_mtv(later: Map, earlier: Map, static: Mask | None = None) -> float:
         1.0
 
     Reading:
-        Not in the paper. Logarithms, because the flicker of depth is asked for of metric depth, depth up to scale and disparity
-        alike: the value is the same in any unit, and in one direction of time as in the other. Depth that is known up to an
-        offset too (disparity of relative networks) wants that offset taken out first.
+        Not in the paper. Logarithms, because the flicker of depth is asked for of metric depth,
+        depth up to scale and disparity alike: the value is the same in any unit, and in one
+        direction of time as in the other. Depth that is known up to an offset too (disparity of
+        relative networks) wants that offset taken out first.
     """
     return _variation((later, earlier), static)
 
 
 def depth_mtv2(depths: Sequence[Map], static: Mask | None = None) -> float:
-    """Return the mean absolute second difference of log depth over time, times 100: an even approach has none.
+    """Return the mean absolute second difference of log depth over time, times 100: an even
+    approach has none.
 
     Args:
         depths: three frames in order, as for `depth_mtv`.
@@ -61,7 +66,8 @@ def depth_mtv2(depths: Sequence[Map], static: Mask | None = None) -> float:
 
 
 def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> float:
-    """Return the part of the pixels whose depth is known in only one of two neighbouring frames: holes that come and go.
+    """Return the part of the pixels whose depth is known in only one of two neighbouring frames:
+    holes that come and go.
 
     Args:
         later: see `depth_mtv`.
@@ -81,17 +87,23 @@ def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> floa
     has_depth = [np.isfinite(depth) & (depth > 0) for depth in _checked((later, earlier), static)]
     inside = np.ones_like(has_depth[0]) if static is None else static
     either = int(np.count_nonzero((has_depth[0] | has_depth[1]) & inside))
-    return PERCENT * int(np.count_nonzero((has_depth[0] ^ has_depth[1]) & inside)) / either if either else 0.0
+    return (
+        PERCENT * int(np.count_nonzero((has_depth[0] ^ has_depth[1]) & inside)) / either
+        if either
+        else 0.0
+    )
 
 
 def depth_sharpness(depth: Map) -> float:
-    """Return the mean absolute difference of log depth between neighbouring pixels, times 100: edges, slopes, and noise.
+    """Return the mean absolute difference of log depth between neighbouring pixels, times 100:
+    edges, slopes, and noise.
 
     Args:
         depth: see `depth_mtv`.
 
     Returns:
-        Mean over horizontal and over vertical neighbours that are both known. A depth map that is smoothed over space has less.
+        Mean over horizontal and over vertical neighbours that are both known. A depth map that is
+        smoothed over space has less.
 
     Raises:
         MetricError: not (H, W), negative depth, or fewer than 64 known pixels.
@@ -105,20 +117,36 @@ def depth_sharpness(depth: Map) -> float:
     (depth,) = _checked((depth,), None)
     logarithm = _log(depth)
     if np.count_nonzero(np.isfinite(logarithm)) < LEAST_PIXELS:
-        raise MetricError(f"depth sharpness: {np.count_nonzero(np.isfinite(logarithm))} known pixels; needs {LEAST_PIXELS}")
+        raise MetricError(
+            f"depth sharpness: {np.count_nonzero(np.isfinite(logarithm))} known pixels; needs "
+            f"{LEAST_PIXELS}"
+        )
     differences = [np.abs(np.diff(logarithm, axis=axis)) for axis in (0, 1)]
-    means = [float(difference[np.isfinite(difference)].mean()) for difference in differences if np.isfinite(difference).any()]
+    means = [
+        float(difference[np.isfinite(difference)].mean())
+        for difference in differences
+        if np.isfinite(difference).any()
+    ]
     return PERCENT * float(np.mean(means)) if means else 0.0
 
 
 def _variation(depths: Sequence[Map], static: Mask | None) -> float:
-    """Return the first or second absolute difference of log depth over two or three frames, mean over what is known in all."""
+    """Return the first or second absolute difference of log depth over two or three frames, mean
+    over what is known in all.
+    """
     logarithms = [_log(depth) for depth in _checked(depths, static)]
     with np.errstate(invalid="ignore"):
-        change = logarithms[0] - logarithms[1] if len(depths) == 2 else logarithms[0] - 2 * logarithms[1] + logarithms[2]
+        change = (
+            logarithms[0] - logarithms[1]
+            if len(depths) == 2
+            else logarithms[0] - 2 * logarithms[1] + logarithms[2]
+        )
     comparable = np.isfinite(change) if static is None else np.isfinite(change) & static
     if np.count_nonzero(comparable) < LEAST_PIXELS:
-        raise MetricError(f"{np.count_nonzero(comparable)} pixels have a depth in all {len(depths)} frames; needs {LEAST_PIXELS}")
+        raise MetricError(
+            f"{np.count_nonzero(comparable)} pixels have a depth in all {len(depths)} frames; "
+            f"needs {LEAST_PIXELS}"
+        )
     return PERCENT * float(np.abs(change[comparable]).mean(dtype=np.float64))
 
 
@@ -131,11 +159,18 @@ def _log(depth: Map) -> Map:
 def _checked(depths: Sequence[Map], static: Mask | None) -> Sequence[Map]:
     for depth in depths:
         if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.number):
-            raise MetricError(f"wanted depth maps (height, width) of numbers, got {depth.shape} {depth.dtype}")
+            raise MetricError(
+                f"wanted depth maps (height, width) of numbers, got {depth.shape} {depth.dtype}"
+            )
         if depth.shape != depths[0].shape:
-            raise MetricError(f"one depth map is {depths[0].shape}, another {depth.shape}; a depth video has one size")
+            raise MetricError(
+                f"one depth map is {depths[0].shape}, another {depth.shape}; a depth video has one "
+                f"size"
+            )
         if (depth < 0).any():
-            raise MetricError(f"wanted depth above 0, and 0 where it is unknown; got {float(np.nanmin(depth)):g}")
+            raise MetricError(
+                f"wanted depth above 0, and 0 where it is unknown; got {float(np.nanmin(depth)):g}"
+            )
     if static is not None:
         check_mask(static, depths[0].shape)
     return depths
@@ -148,7 +183,8 @@ DEPTH_SHARPNESS = DepthMetric(
     unit="% of depth",
     higher_is_better=True,
     decimals=3,
-    describe="mean absolute difference of neighbouring depths; more stable and less sharp is smoothed, noise raises it",
+    describe="mean absolute difference of neighbouring depths; more stable and less sharp is "
+    "smoothed, noise raises it",
     reference=_REFERENCE,
     series=Series(1, lambda depths, _static: depth_sharpness(*depths)),
 )

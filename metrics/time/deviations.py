@@ -29,24 +29,30 @@ def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
         0.5
 
     Reading:
-        The paper defines SDT by words only. A standard deviation per view over its per-frame errors (not per pixel, not of the
-        error averaged over views) is what its sizes allow; ddof=1 is what its authors' earlier released code uses.
+        The paper defines SDT by words only. A standard deviation per view over its per-frame errors
+        (not per pixel, not of the error averaged over views) is what its sizes allow; ddof=1 is
+        what its authors' earlier released code uses.
     """
     errors = np.asarray(l1_255, dtype=np.float64)
     if errors.ndim != 2 or errors.shape[1] < 2:
-        raise MetricError(f"SDT wants errors of shape (views, frames) with at least 2 frames, got {errors.shape}")
+        raise MetricError(
+            f"SDT wants errors of shape (views, frames) with at least 2 frames, got {errors.shape}"
+        )
     return require_finite(float(errors.std(axis=1, ddof=ddof).mean()), "SDT")
 
 
 def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
-    """Return the standard deviation of the error over the views, mean over the frames; lower is more even.
+    """Return the standard deviation of the error over the views, mean over the frames.
+
+    Lower is more even.
 
     Args:
         l1_255: L1 of each view and frame on the scale 0..255, (V, T), V >= 2.
         ddof: 1 for the unbiased estimate, 0 for the plain one; with 3 views they differ by 22 %.
 
     Raises:
-        MetricError: not a table of views and frames, fewer than 2 views, or values that are not finite.
+        MetricError: not a table of views and frames, fewer than 2 views, or values that are not
+            finite.
 
     Example:
         >>> sdv([[1.0, 3.0], [5.0, 5.0]], ddof=0)  # of two frames: 2 and 1
@@ -57,7 +63,9 @@ def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
     """
     errors = np.asarray(l1_255, dtype=np.float64)
     if errors.ndim != 2 or errors.shape[0] < 2 or errors.shape[1] < 1:
-        raise MetricError(f"SDV wants errors of shape (views, frames) with at least 2 views, got {errors.shape}")
+        raise MetricError(
+            f"SDV wants errors of shape (views, frames) with at least 2 views, got {errors.shape}"
+        )
     return require_finite(float(errors.std(axis=0, ddof=ddof).mean()), "SDV")
 
 
@@ -66,7 +74,11 @@ def _rows_of_views(errors: Errors, options: MetricOptions) -> list[Row]:
     frames = {frame for of_view in errors.values() for frame in of_view}
     if len(frames) < 2:
         raise MetricError(f"{len(frames)} frame; needs 2")
-    return [(view, -1, sdt([list(of_view.values())], options.ddof)) for view, of_view in errors.items() if len(of_view) > 1]
+    return [
+        (view, -1, sdt([list(of_view.values())], options.ddof))
+        for view, of_view in errors.items()
+        if len(of_view) > 1
+    ]
 
 
 def _rows_of_frames(errors: Errors, options: MetricOptions) -> list[Row]:
@@ -78,7 +90,9 @@ def _rows_of_frames(errors: Errors, options: MetricOptions) -> list[Row]:
         for frame, value in of_view.items():
             by_frame[frame].append(value)
     having = [(frame, values) for frame, values in sorted(by_frame.items()) if len(values) > 1]
-    return [(None, frame, sdv([[value] for value in values], options.ddof)) for frame, values in having]
+    return [
+        (None, frame, sdv([[value] for value in values], options.ddof)) for frame, values in having
+    ]
 
 
 SDT = TableMetric(

@@ -1,4 +1,6 @@
-"""Flicker of a rendering beyond the change of the captured video: signed, and with a companion that a frozen video cannot win."""
+"""Flicker of a rendering beyond the change of the captured video: signed, and with a companion that
+a frozen video cannot win.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,7 +12,14 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import (
+    CONSISTENCY,
+    ColourMap,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 from ggvs_eval.metrics.noise.blocks import (
     ENERGY_EDGES,
     N_ENERGIES,
@@ -27,16 +36,22 @@ MIN_BLOCKS = 8
 
 @dataclass(frozen=True)
 class Flicker:
-    """Change from frame to frame of one rendered view against the captured one; grey levels of 255, RMS over pixels and channels.
+    """Change from frame to frame of one rendered view against the captured one.
+
+    Grey levels of 255, RMS over pixels and channels.
 
     Attributes:
-        excess: signed root of (energy of the rendering's change - energy of the scene's change); above 0 the rendering flickers,
-            below 0 it is frozen, blurred or smoothed over time; 0 is ideal. The scene's change is the capture's without noise.
-        error: root of the energy by which the rendering's change misses the scene's; 0 is ideal, both signs of `excess` raise it,
-            and so does motion at the wrong time or place. No noise of the capture is in it.
-        on_static: the rendering's change where the scene is static, 0 or more: flicker alone. None if nothing is static.
+        excess: signed root of (energy of the rendering's change - energy of the scene's change);
+            above 0 the rendering flickers, below 0 it is frozen, blurred or smoothed over time; 0
+            is ideal. The scene's change is the capture's without noise.
+        error: root of the energy by which the rendering's change misses the scene's; 0 is ideal,
+            both signs of `excess` raise it, and so does motion at the wrong time or place. No noise
+            of the capture is in it.
+        on_static: the rendering's change where the scene is static, 0 or more: flicker alone. None
+            if nothing is static.
         on_moving: `excess` where the scene moves alone. None if nothing moves.
-        with_noise: signed as `excess`, but against the capture's whole change, noise included; 0 for a second recording.
+        with_noise: signed as `excess`, but against the capture's whole change, noise included; 0
+            for a second recording.
         noise: the capture's change where the scene is static: its noise. None if nothing is static.
         static_share: share of the blocks that are static.
     """
@@ -55,12 +70,12 @@ class FlickerMeter:
     """Measures flicker from the frames of a view, one instant at a time; two instants are held.
 
     Reading:
-        Where the capture is static, the scene's change is 0, so all change of the rendering is flicker, and the capture's is
-        its noise: no estimate is needed. Where it moves, the energy of the noise of still blocks
-        as bright is taken off the capture's. Blocks of
-        8 x 8 pixels are static if their change is in the peak that noise makes in the histogram of changes (of all frames so
-        far) and no neighbour moves. Where nothing is static, the noise is assumed to be 0. Pixels beyond the last whole block are
-        not measured.
+        Where the capture is static, the scene's change is 0, so all change of the rendering is
+        flicker, and the capture's is its noise: no estimate is needed. Where it moves, the energy
+        of the noise of still blocks as bright is taken off the capture's. Blocks of 8 x 8 pixels
+        are static if their change is in the peak that noise makes in the histogram of changes (of
+        all frames so far) and no neighbour moves. Where nothing is static, the noise is assumed to
+        be 0. Pixels beyond the last whole block are not measured.
     """
 
     def __init__(self) -> None:
@@ -74,7 +89,8 @@ class FlickerMeter:
         """Take the frames of the next instant, both (H, W, 3) uint8.
 
         Raises:
-            MetricError: not two frames (H, W, 3) uint8 of one size, at least 16 x 16 and as large as those before.
+            MetricError: not two frames (H, W, 3) uint8 of one size, at least 16 x 16 and as large
+                as those before.
         """
         check_pair(rendered, truth)
         check_frame(truth, self._previous[1].shape if self._previous else ())
@@ -82,22 +98,39 @@ class FlickerMeter:
         if previous is None:
             return
         rendered_change, true_change = _change(rendered, previous[0]), _change(truth, previous[1])
-        energies = [_energy(rendered_change), _energy(true_change), _energy(cv2.subtract(rendered_change, true_change))]
+        energies = [
+            _energy(rendered_change),
+            _energy(true_change),
+            _energy(cv2.subtract(rendered_change, true_change)),
+        ]
         still = self._still(energies[1])
         level = levels_of(block_means(truth).mean(axis=-1))
         for sums, mask in ((self._static, still), (self._moving, ~still)):
-            weights: list[NDArray] = [np.ones(int(mask.sum())), *(energy[mask] for energy in energies)]
-            sums += np.stack([np.bincount(level[mask], weight, minlength=N_LEVELS) for weight in weights], axis=-1)
+            weights: list[NDArray] = [
+                np.ones(int(mask.sum())),
+                *(energy[mask] for energy in energies),
+            ]
+            sums += np.stack(
+                [np.bincount(level[mask], weight, minlength=N_LEVELS) for weight in weights],
+                axis=-1,
+            )
         self._pairs += 1
 
     def finish(self) -> Flicker:
         """Return the measures of all instants."""
         if self._pairs < 1:
-            raise MetricError(f"flicker is a change between frames: {int(self._previous is not None)} frame; needs 2")
+            raise MetricError(
+                f"flicker is a change between frames: {int(self._previous is not None)} frame; "
+                f"needs 2"
+            )
         has_static = self._static[:, 0].sum() >= MIN_BLOCKS
         if not has_static:
             self._moving, self._static = self._moving + self._static, np.zeros((N_LEVELS, 4))
-        static, moving, noise = self._static.sum(axis=0), self._moving.sum(axis=0), self._noise_of_moving()
+        static, moving, noise = (
+            self._static.sum(axis=0),
+            self._moving.sum(axis=0),
+            self._noise_of_moving(),
+        )
         excess, missed = moving[1] - (moving[2] - noise), max(moving[3] - noise, 0.0)
         blocks = static[0] + moving[0]
         return Flicker(
@@ -112,7 +145,9 @@ class FlickerMeter:
         )
 
     def _noise_of_moving(self) -> float:
-        """Return the energy of the noise in all moving blocks: that of still ones as bright, or of all where too few are."""
+        """Return the energy of the noise in all moving blocks: that of still ones as bright, or of
+        all where too few are.
+        """
         blocks, _, energy, _ = self._static.T
         overall = energy.sum() / max(blocks.sum(), 1)
         noise = np.where(blocks >= MIN_BLOCKS, energy / np.maximum(blocks, 1), overall)
@@ -120,7 +155,8 @@ class FlickerMeter:
 
     def _still(self, energy: Field) -> NDArray[np.bool_]:
         """Return the blocks whose change is noise, and whose neighbours' is."""
-        bins = np.searchsorted(ENERGY_EDGES, energy / 2, side="right") - 1  # half of a change's energy is the noise's variance
+        # half of a change's energy is the noise's variance
+        bins = np.searchsorted(ENERGY_EDGES, energy / 2, side="right") - 1
         self._histogram += np.bincount(bins.ravel(), minlength=N_ENERGIES)
         moving = (bins > static_limit(self._histogram)).astype(np.uint8)
         return np.asarray(cv2.dilate(moving, np.ones((3, 3), np.uint8)) == 0)
@@ -130,7 +166,8 @@ def flicker(pairs: Iterable[tuple[Image8, Image8]]) -> Flicker:
     """Flicker of one view.
 
     Args:
-        pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8; consumed as a stream.
+        pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8; consumed as a
+            stream.
 
     Raises:
         MetricError: see `FlickerMeter`.
@@ -164,7 +201,9 @@ def _signed_root(energy: float) -> float:
 class FlickerScorer:
     """Flicker beyond the captured change."""
 
-    def __init__(self, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None
+    ) -> None:
         self.names = names
         self._meter = FlickerMeter()
 

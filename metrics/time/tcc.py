@@ -10,7 +10,15 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import device_ssim, ssim_per_channel, windows_inside
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind
-from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import (
+    CONSISTENCY,
+    ColourMap,
+    FramePair,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -37,18 +45,25 @@ def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> fl
         (1.0, 0.06)
 
     Reading:
-        The sensor noise of the truth is part of its change: a perfect but noise-free rendering does not reach 1, and flicker as
-        strong as that noise is not penalised. Read it with STED.
+        The sensor noise of the truth is part of its change: a perfect but noise-free rendering does
+        not reach 1, and flicker as strong as that noise is not penalised. Read it with STED.
     """
     if len(rendered) != len(truth):
-        raise MetricError(f"TCC: {len(rendered)} rendered frames, {len(truth)} true frames; score the same frames")
+        raise MetricError(
+            f"TCC: {len(rendered)} rendered frames, {len(truth)} true frames; score the same frames"
+        )
     if len(truth) < 2:
         raise MetricError(f"TCC compares neighbouring frames: {len(truth)} frame; needs 2")
-    changes = (temporal_change_ssim(rendered[t], rendered[t + 1], truth[t], truth[t + 1]) for t in range(len(truth) - 1))
+    changes = (
+        temporal_change_ssim(rendered[t], rendered[t + 1], truth[t], truth[t + 1])
+        for t in range(len(truth) - 1)
+    )
     return float(np.mean(list(changes)))
 
 
-def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, truth_next: Image) -> float:
+def temporal_change_ssim(
+    rendered: Image, rendered_next: Image, truth: Image, truth_next: Image
+) -> float:
     """SSIM of the absolute colour changes between two neighbouring frames, one term of Eq. 8.
 
     Args:
@@ -63,8 +78,9 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
         MetricError: shapes or kinds differ, or an image is smaller than the window of `ssim`.
 
     Reading:
-        The paper names no SSIM. Taken as its authors' earlier released code does it for depth: the window of `ssim`, data range 1
-        (the changes are not rescaled), the mean of each channel cut off at 0, then the mean of the channels.
+        The paper names no SSIM. Taken as its authors' earlier released code does it for depth: the
+        window of `ssim`, data range 1 (the changes are not rescaled), the mean of each channel cut
+        off at 0, then the mean of the channels.
     """
     check_pair(rendered, rendered_next)
     check_pair(truth, truth_next)
@@ -73,10 +89,15 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
 
 
 def device_change_ssim(
-    rendered: "torch.Tensor", rendered_next: "torch.Tensor", truth: "torch.Tensor", truth_next: "torch.Tensor"
+    rendered: "torch.Tensor",
+    rendered_next: "torch.Tensor",
+    truth: "torch.Tensor",
+    truth_next: "torch.Tensor",
 ) -> float:
     """Compute `temporal_change_ssim` in double precision where the frames are, (H, W, 3) uint8."""
-    change, true_change = (a.maximum(b) - a.minimum(b) for a, b in ((rendered, rendered_next), (truth, truth_next)))
+    change, true_change = (
+        a.maximum(b) - a.minimum(b) for a, b in ((rendered, rendered_next), (truth, truth_next))
+    )
     return float(np.maximum(device_ssim(change, true_change), 0.0).mean())
 
 
@@ -90,7 +111,9 @@ def _inside(pair: FramePair, mask: Mask) -> float | None:
     if pair.previous is None or pair.truth.previous is None:
         return None
     changes = _change(pair.previous, pair.rendered), _change(pair.truth.previous, pair.truth.image)
-    return float(np.maximum(windows_inside(*changes, mask).mean(axis=0, dtype=np.float64), 0.0).mean())
+    return float(
+        np.maximum(windows_inside(*changes, mask).mean(axis=0, dtype=np.float64), 0.0).mean()
+    )
 
 
 class ChangeScorer:
@@ -98,7 +121,9 @@ class ChangeScorer:
 
     names = ("TCC",)
 
-    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    def __init__(
+        self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None
+    ) -> None:
         self._device = options.device
         self._previous: Any = None  # rendered and captured, in memory or on the device
         self._pairs = 0

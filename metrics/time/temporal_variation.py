@@ -1,4 +1,6 @@
-"""Temporal variation of a rendering, without truth: mTV of OR2, and the same of second differences."""
+"""Temporal variation of a rendering, without truth: mTV of OR2, and the same of second
+differences.
+"""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,14 +13,30 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.regions import region_mask
 from ggvs_eval.metrics.image.sharpness import PERCENT, SHARPNESS
-from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, same_kind, white_level
-from ggvs_eval.metrics.metric import NO_REFERENCE, ColourMap, MetricOptions, Series, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.inputs import (
+    Image,
+    check_pair,
+    count_inside,
+    require_finite,
+    same_kind,
+    white_level,
+)
+from ggvs_eval.metrics.metric import (
+    NO_REFERENCE,
+    ColourMap,
+    MetricOptions,
+    Series,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
 
 NAMES = ("mTV", "mTV2")
 
 
 def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
-    """Mean absolute change of a rendering from one frame to the next inside a static mask, times 100 (OR2, SIGGRAPH 2025).
+    """Mean absolute change of a rendering from one frame to the next inside a static mask, times
+    100 (OR2, SIGGRAPH 2025).
 
     Args:
         later: rendered frame at t + 1, (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -26,8 +44,8 @@ def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
         static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
-        Mean over pixels and channels, per cent of white: what the literature prints as mTV x 100. 0 for a steady rendering, and
-        for a frozen or a grey one: read it with `sharpness`.
+        Mean over pixels and channels, per cent of white: what the literature prints as mTV x 100. 0
+        for a steady rendering, and for a frozen or a grey one: read it with `sharpness`.
 
     Raises:
         MetricError: frames or mask do not fit each other, or fewer than 64 pixels inside.
@@ -39,34 +57,38 @@ def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
         20.0
 
     Reading:
-        OR2 takes one mask per scene, rectangles of cam00 drawn by hand. Taken in runs: the pixels in which the paper's Eq. 1
-        finds no motion between the two captured frames, so that any view of any capture has a mask.
+        OR2 takes one mask per scene, rectangles of cam00 drawn by hand. Taken in runs: the pixels
+        in which the paper's Eq. 1 finds no motion between the two captured frames, so that any view
+        of any capture has a mask.
     """
     return _variation((later, earlier), static)
 
 
 def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
-    """Return the mean absolute second difference of a rendering over time, times 100: even and slow motion cancels.
+    """Return the mean absolute second difference of a rendering over time, times 100: even and slow
+    motion cancels.
 
     Args:
         frames: three rendered frames in order, each (H, W, 3), uint8 in 0..255 or float in [0, 1].
         static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
-        Mean over pixels and channels of ``|I(t + 1) - 2 I(t) + I(t - 1)|``, per cent of white; 0 for a steady rendering, and for
-        a frozen or a grey one: read it with `sharpness`.
+        Mean over pixels and channels of ``|I(t + 1) - 2 I(t) + I(t - 1)|``, per cent of white; 0
+        for a steady rendering, and for a frozen or a grey one: read it with `sharpness`.
 
     Raises:
         MetricError: not three frames, or as `mtv`.
 
     Example:
         >>> import numpy as np
-        >>> mtv2([np.full((16, 16, 3), level, np.uint8) for level in (0, 51, 102)])  # an even change has none
+        >>> mtv2(
+        ...     [np.full((16, 16, 3), level, np.uint8) for level in (0, 51, 102)]
+        ... )  # an even change has none
         0.0
 
     Reading:
-        Not in the paper. For cameras that move: the picture then has change everywhere and no part of it is static. Texture
-        finer than its motion per frame does not cancel.
+        Not in the paper. For cameras that move: the picture then has change everywhere and no part
+        of it is static. Texture finer than its motion per frame does not cancel.
     """
     if len(frames) != 3:
         raise MetricError(f"mTV2 is a second difference: got {len(frames)} frames; needs 3")
@@ -74,21 +96,33 @@ def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
 
 
 def _variation(frames: Sequence[Image], static: Mask | None) -> float:
-    """Return the first or second absolute difference of two or three frames, mean inside the mask, per cent of white."""
+    """Return the first or second absolute difference of two or three frames, mean inside the mask,
+    per cent of white.
+    """
     for frame in frames:
         check_pair(frame, frame)
         if frame.shape != frames[0].shape or frame.dtype != frames[0].dtype:
             first, second = (f"{image.shape} {image.dtype}" for image in (frames[0], frame))
-            raise MetricError(f"one frame is {first}, another {second}; the frames of a video have one size and kind")
+            raise MetricError(
+                f"one frame is {first}, another {second}; the frames of a video have one size and "
+                f"kind"
+            )
     height, width, channels = frames[0].shape
     n_pixels = height * width if static is None else count_inside(static, (height, width))
     inside = None if static is None else static.astype(np.uint8)
-    total = cv2.norm(*_differing(*(same_kind(frame, frame)[0] for frame in frames)), cv2.NORM_L1, inside)
-    return require_finite(PERCENT * float(total) / (channels * n_pixels * white_level(frames[0])), NAMES[len(frames) - 2])
+    total = cv2.norm(
+        *_differing(*(same_kind(frame, frame)[0] for frame in frames)), cv2.NORM_L1, inside
+    )
+    return require_finite(
+        PERCENT * float(total) / (channels * n_pixels * white_level(frames[0])),
+        NAMES[len(frames) - 2],
+    )
 
 
 def _differing(first: Image, second: Image, third: Image | None = None) -> tuple[Image, Image]:
-    """Return two images whose difference is the first, or second, difference of the frames, in a type that holds it."""
+    """Return two images whose difference is the first, or second, difference of the frames, in a
+    type that holds it.
+    """
     if third is None:
         return first, second
     wide = cv2.CV_16S if first.dtype == np.uint8 else cv2.CV_64F
@@ -96,9 +130,18 @@ def _differing(first: Image, second: Image, third: Image | None = None) -> tuple
 
 
 class VariationScorer:
-    """First or second difference of a view where its captured frames are static; each value belongs to its first frame."""
+    """First or second difference of a view where its captured frames are static.
 
-    def __init__(self, n_frames: int, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
+    Each value belongs to its first frame.
+    """
+
+    def __init__(
+        self,
+        n_frames: int,
+        names: Sequence[str],
+        _options: MetricOptions,
+        _colour_map: ColourMap | None,
+    ) -> None:
         self.names = names
         self._n_frames = n_frames
         self._frames: deque[Image8] = deque(maxlen=n_frames)
@@ -136,7 +179,8 @@ MTV = ViewMetric(
     higher_is_better=False,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute change of the rendering where the scene is static, x 100; blur lowers it",
+    describe="mean absolute change of the rendering where the scene is static, x 100; blur lowers "
+    "it",
     reference="OR2, SIGGRAPH 2025, arXiv 2505.01235",
     scorer=partial(VariationScorer, 2),
     series=Series(2, _variation),
@@ -150,7 +194,8 @@ MTV2 = ViewMetric(
     higher_is_better=False,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute second difference over time of the rendering where the scene is static, x 100; blur lowers it",
+    describe="mean absolute second difference over time of the rendering where the scene is "
+    "static, x 100; blur lowers it",
     reference="docs/metrics.md",
     scorer=partial(VariationScorer, 3),
     series=Series(3, _variation),

@@ -1,4 +1,6 @@
-"""The verbs of the command line that find cameras and straighten lenses: calibrate and undistort."""
+"""The verbs of the command line that find cameras and straighten lenses: calibrate and
+undistort.
+"""
 
 import sys
 from pathlib import Path
@@ -29,8 +31,15 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
     for name, reason in rig.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
     for name, lens in rig.odd_lenses.items():
-        print(f"{name} {lens.describe()}: another zoom? calibrate again with {own_lens_option(rig.odd_lenses)}", file=sys.stderr)
-    error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
+        print(
+            f"{name} {lens.describe()}: another zoom? calibrate again with "
+            f"{own_lens_option(rig.odd_lenses)}",
+            file=sys.stderr,
+        )
+    error = (
+        f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} "
+        f"points"
+    )
     print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 
 
@@ -47,7 +56,8 @@ def undistort(
     Args:
         source: folder of raw videos, with --lenses; or a capture whose layout includes lenses.
         out: folder to write, absent or empty.
-        lenses: lens file of EasyMocap, D3DMV, Qualisys, OpenCV, anipose or freemocap (docs/captures.md).
+        lenses: lens file of EasyMocap, D3DMV, Qualisys, OpenCV, anipose or freemocap
+            (docs/captures.md).
         output: output format.
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos

@@ -29,21 +29,25 @@ def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
     Args:
         out: folder to write; absent, or holding this demo.
         room: room to unpack: the main one (DyNeRF's layout) or a small one.
-        quick: main room, sample renders and a short protocol (a few seconds); other options are ignored.
+        quick: main room, sample renders and a short protocol (a few seconds); other options are
+            ignored.
     """
     from ggvs_eval.synthetic.shipped import write_quick, write_room
 
     print(write_quick(out) if quick else write_room(out, room))
 
 
-def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")]) -> None:
+def get(
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")],
+) -> None:
     """Download a public capture; its name then works as --capture.
 
-    Examples: n3v:flame_steak, immersive:02_Flames, panoptic:basketball. A stopped download resumes. Size and SHA-256 of the first
-    download are stored; a later one must match.
+    Examples: n3v:flame_steak, immersive:02_Flames, panoptic:basketball. A stopped download resumes.
+    Size and SHA-256 of the first download are stored; a later one must match.
 
     Args:
-        scene: data set and scene; `n3v:` lists the scenes of a data set, `llff` names what to fetch by hand.
+        scene: data set and scene; `n3v:` lists the scenes of a data set, `llff` names what to fetch
+            by hand.
     """
     dataset, name = find_scene(scene)
     print(dataset.terms(name), file=sys.stderr)
@@ -80,10 +84,17 @@ def protocol(
     """
     from ggvs_eval.metrics.registry import select_metrics
     from ggvs_eval.pipelines.inspection.table import text_table
-    from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols, read_doubts
+    from ggvs_eval.pipelines.run.suggest_protocol import (
+        hold_out,
+        propose_protocol,
+        published_protocols,
+        read_doubts,
+    )
 
     if out.exists():
-        raise ProtocolError(f"{out}: wanted a new file for the protocol, got an existing one; choose another name")
+        raise ProtocolError(
+            f"{out}: wanted a new file for the protocol, got an existing one; choose another name"
+        )
     opened = reading.open(capture)
     doubts = read_doubts(checked) if checked else {}
     proposal = propose_protocol(opened, doubts)
@@ -91,8 +102,15 @@ def protocol(
         proposal = hold_out(proposal, opened, tuple(dict.fromkeys(test)), doubts)
     terms = proposal.protocol.shortened(frames, path_poses)
     if not 0 <= start < opened.n_frames:
-        raise ProtocolError(f"--start {start}: wanted an instant of {capture}, 0 to {opened.n_frames - 1}")
-    terms = replace(terms, frames=replace(terms.frames, start=start, count=min(terms.frames.count, opened.n_frames - start)))
+        raise ProtocolError(
+            f"--start {start}: wanted an instant of {capture}, 0 to {opened.n_frames - 1}"
+        )
+    terms = replace(
+        terms,
+        frames=replace(
+            terms.frames, start=start, count=min(terms.frames.count, opened.n_frames - start)
+        ),
+    )
     if metrics:
         select_metrics(metrics)
         terms = replace(terms, measurement=replace(terms.measurement, metrics=metrics))
@@ -102,22 +120,37 @@ def protocol(
         terms = checked_protocol(terms.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:
         unfinished.write_text(terms.to_toml(), encoding="utf-8")
-    print(text_table({"cameras": 0, "reason for holding out, or not": 1}, _together(proposal.reasons)))
-    print(f"{out}: {len(terms.views.test)} test views, K = {terms.synthesis.k}, {terms.frames.count} frames")
+    print(
+        text_table({"cameras": 0, "reason for holding out, or not": 1}, _together(proposal.reasons))
+    )
+    print(
+        f"{out}: {len(terms.views.test)} test views, K = {terms.synthesis.k}, {terms.frames.count} "
+        f"frames"
+    )
     published: dict[str, list[str]] = {}
     for standard in published_protocols(opened):
-        choice = f"{standard.name} ({', '.join(standard.views.test)} held out, {standard.frames.count} frames)"
+        choice = (
+            f"{standard.name} ({', '.join(standard.views.test)} held out, "
+            f"{standard.frames.count} frames)"
+        )
         published.setdefault(standard.dataset, []).append(choice)
     for dataset, choices in published.items():
         print(f"if this is {dataset}: --protocol {' or '.join(choices)} evaluates as published")
 
 
 def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the cameras of one reason in one line: their names, of many the first, the last and their number."""
+    """Return the cameras of one reason in one line: their names, of many the first, the last and
+    their number.
+    """
     names: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         names.setdefault(reason, []).append(name)
     return [
-        (", ".join(cameras) if len(cameras) <= MOST_NAMES else f"{cameras[0]} ... {cameras[-1]} ({len(cameras)})", reason)
+        (
+            ", ".join(cameras)
+            if len(cameras) <= MOST_NAMES
+            else f"{cameras[0]} ... {cameras[-1]} ({len(cameras)})",
+            reason,
+        )
         for reason, cameras in names.items()
     ]

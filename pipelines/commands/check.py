@@ -10,7 +10,13 @@ import tyro
 from ggvs_eval.datasets.assemble import Crop, write_crop
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.errors import CaptureError, CommandError, no_such_path
-from ggvs_eval.pipelines.commands.flags import ONE_PER_CORE, CaptureFolder, Jobs, Layout, given_units
+from ggvs_eval.pipelines.commands.flags import (
+    ONE_PER_CORE,
+    CaptureFolder,
+    Jobs,
+    Layout,
+    given_units,
+)
 
 
 def check(
@@ -28,19 +34,21 @@ def check(
 ) -> None:
     """Check a capture for faults in frames, poses, timing and colour.
 
-    Prints one verdict per question, writes them as JSON, and exits with 1 if a verdict is bad. Videos without poses get the
-    checks that need none.
+    Prints one verdict per question, writes them as JSON, and exits with 1 if a verdict is bad.
+    Videos without poses get the checks that need none.
 
     Args:
         capture: capture, or videos without poses.
         layout: layout on disk; detected by default.
         units: world units per metre, or a TOML file with a known distance (docs/captures.md).
         out: JSON file; CAPTURE.check.json in the current folder by default.
-        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), and pair frames by time where lengths or rates
-            differ; all commands apply both.
-        crop: first column and row of cropped frames; written to CAPTURE/crop.toml, which all commands apply.
+        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), and pair frames
+            by time where lengths or rates differ; all commands apply both.
+        crop: first column and row of cropped frames; written to CAPTURE/crop.toml, which all
+            commands apply.
         jobs: parallel processes, at least 1.
-        watch: seconds between checks of a folder during capture; prints changes of a camera's state.
+        watch: seconds between checks of a folder during capture; prints changes of a camera's
+            state.
         rig: with --watch: calibrated capture of the same cameras, for time offsets and colours.
         page: with --watch: HTML file of the state, which refreshes itself.
         json: with --watch: print every round as JSON lines.
@@ -72,7 +80,9 @@ def check(
         sys.exit(1)
 
 
-def _watch(frames: Path, every_s: float, rig: Path | None, page: Path | None, as_json: bool) -> None:
+def _watch(
+    frames: Path, every_s: float, rig: Path | None, page: Path | None, as_json: bool
+) -> None:
     from ggvs_eval.pipelines.inspection.capture.watch import watch
 
     if not every_s > 0:

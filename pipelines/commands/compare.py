@@ -20,11 +20,13 @@ def compare(
     """Compare two runs, or two methods of a run, with paired tests.
 
     Args:
-        first: run folder, a method with --run, or renders in any form that `score` accepts with --capture.
+        first: run folder, a method with --run, or renders in any form that `score` accepts with
+            --capture.
         second: second run, method or renders; differences are first minus second.
         run: run folder of both methods.
         capture: capture of both renders.
-        protocol: protocol of the renders (.toml or packaged name); fitted to the capture by default.
+        protocol: protocol of the renders (.toml or packaged name); fitted to the capture by
+            default.
         views: also compare each view alone.
         csv: CSV file for all differences, unrounded, per view too.
     """
@@ -33,5 +35,7 @@ def compare(
     if capture is None:
         print(write_comparison(first, second, run, views, csv))
         return
-    with RendersOptions(capture=capture, protocol=protocol, run=run).scored(Path(first), Path(second)) as (folder, labels):
+    with RendersOptions(capture=capture, protocol=protocol, run=run).scored(
+        Path(first), Path(second)
+    ) as (folder, labels):
         print(write_comparison(labels[0], labels[1], folder.root, views, csv))

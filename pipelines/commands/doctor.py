@@ -12,14 +12,15 @@ def doctor(
 ) -> None:
     """Find faults in rendered frames before they are scored.
 
-    Finds frame offsets, reversed time, wrong cameras, swapped channels, gains, casts, gamma, wrong video range, flicker, shifts
-    from a quarter of a pixel, wrong resizing or focal length, black borders, JPEG, missing and frozen frames, copied reference
-    frames, and a PSNR above the ceiling of noise and codec. Also reports a PSNR that no fault explains, and whether stability is
-    due to blur.
-    Exits with 1 if a fault is certain.
+    Finds frame offsets, reversed time, wrong cameras, swapped channels, gains, casts, gamma, wrong
+    video range, flicker, shifts from a quarter of a pixel, wrong resizing or focal length, black
+    borders, JPEG, missing and frozen frames, copied reference frames, and a PSNR above the ceiling
+    of noise and codec. Also reports a PSNR that no fault explains, and whether stability is due to
+    blur. Exits with 1 if a fault is certain.
 
     Args:
-        renders: frames in any form that `score` accepts, with --capture; or a run folder, for all its methods.
+        renders: frames in any form that `score` accepts, with --capture; or a run folder, for all
+            its methods.
         source: capture and protocol of the renders.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss, faults_table

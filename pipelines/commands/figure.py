@@ -9,7 +9,9 @@ from ggvs_eval.reports.figures.look import FigureLook, parse_row, parse_width
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.figures.regions import parse_square
 
-Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "stream", "video"], tyro.conf.Positional]
+Kind = Annotated[
+    Literal["crops", "failures", "epi", "time", "k", "stream", "video"], tyro.conf.Positional
+]
 
 
 def figure(
@@ -22,9 +24,17 @@ def figure(
     view: str | None = None,
     frame: int | None = None,
     row: Annotated[str, tyro.conf.arg(metavar="auto|N")] = "auto",
-    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)")] = (),
-    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD ...", help_behavior_hint="(all by default)")] = (),
-    squares: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LEFT,TOP,SIDE ...", help_behavior_hint="(by --rule)")] = (),
+    metrics: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)"),
+    ] = (),
+    methods: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="METHOD ...", help_behavior_hint="(all by default)")
+    ] = (),
+    squares: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="LEFT,TOP,SIDE ...", help_behavior_hint="(by --rule)"),
+    ] = (),
     width: str | None = None,
     title: bool = True,
     scores: bool = False,
@@ -32,9 +42,9 @@ def figure(
     """Draw a labelled figure for a paper.
 
     Args:
-        kind: crops: enlarged squares of a frame; failures: worst squares of a method; epi: an image row along the camera path;
-            time: an image row over time; k: quality and time over K; stream: displayed quality over fps; video: methods side by
-            side.
+        kind: crops: enlarged squares of a frame; failures: worst squares of a method; epi: an image
+            row along the camera path; time: an image row over time; k: quality and time over K;
+            stream: displayed quality over fps; video: methods side by side.
         run: run folder, rendered and scored; the folder of a sweep for k.
         out: PNG, PDF or SVG to write, MP4 for video; a name without suffix writes PNG and PDF.
         rule: squares of crops: where methods differ most, or where --method is worst.
@@ -59,6 +69,10 @@ def figure(
         "metrics": metrics,
         "methods": methods,
     }
-    options |= {"row": parse_row(row), "squares": tuple(map(parse_square, squares)), "has_scores": scores}
+    options |= {
+        "row": parse_row(row),
+        "squares": tuple(map(parse_square, squares)),
+        "has_scores": scores,
+    }
     look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
     print(*write_figure(run, kind, out, look=look, **options), sep="\n")

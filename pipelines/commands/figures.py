@@ -13,7 +13,9 @@ from ggvs_eval.run_folder import RunFolder
 LEADERBOARDS: Registry[Any] = Registry("pages", built_in.LEADERBOARDS)
 TRACKERS: Registry[Any] = Registry("trackers", built_in.TRACKERS)
 Runs = Annotated[
-    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
+    tuple[Path, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)"),
 ]
 Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
 
@@ -23,7 +25,9 @@ def report(
     out: Path | None = None,
     to: Destination = "page",
     standalone: bool = False,
-    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
+    columns: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")
+    ] = (),
 ) -> None:
     """Write the page, tables, figures and the comparison with the paper.
 
@@ -32,7 +36,8 @@ def report(
     Args:
         runs: run folders; those of one protocol share a section of the page.
         out: folder to write; RUN/report of the first run, leaderboard.html or tracked/ by default.
-        to: page; leaderboard (tables only, without frames); or a tracker, whose package must be installed.
+        to: page; leaderboard (tables only, without frames); or a tracker, whose package must be
+            installed.
         standalone: page without links to frames of the run folder.
         columns: columns of the Markdown, LaTeX and Excel tables, in order: PSNR SSIM LPIPS TCC.
     """
@@ -44,7 +49,10 @@ def report(
 
         for run in runs:
             if outdated := describe_outdated([RunFolder(run)]):
-                print(f"{run}: {outdated}; shown as measured; run `ggvs-eval run` to update", file=sys.stderr)
+                print(
+                    f"{run}: {outdated}; shown as measured; run `ggvs-eval run` to update",
+                    file=sys.stderr,
+                )
         print(write(runs, out, standalone=standalone, columns=columns))
     else:
         print(TRACKERS[to](runs, to, out or Path("tracked")))
@@ -52,7 +60,9 @@ def report(
 
 def table(
     runs: Runs,
-    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
+    columns: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")
+    ] = (),
     to: Literal["markdown", "latex", "csv"] = "markdown",
     notes: bool = False,
 ) -> None:

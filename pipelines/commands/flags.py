@@ -1,4 +1,6 @@
-"""Flags that several verbs of the command line share: what they read, what they render, where their jobs run."""
+"""Flags that several verbs of the command line share: what they read, what they render, where their
+jobs run.
+"""
 
 import sys
 from dataclasses import dataclass, fields
@@ -44,7 +46,9 @@ Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}"
 Label = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
 USUAL_METHODS = usual_methods()
-Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
+Weights = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)
+]
 Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
 Poses = Annotated[CalibrationChoice | None, tyro.conf.arg(name="calibration")]
 NoiseLevel = Annotated[float, tyro.conf.arg(aliases=["--sensor-noise"])]
@@ -60,9 +64,11 @@ class CaptureOptions:
         keep_unsynced: keep cameras that are out of step (cam13 of coffee_martini).
         hold_frames: number of instants for which one instant is repeated; 0: none.
         hold_frame: the repeated instant, from 0.
-        sensor_noise_255: standard deviation of noise added to all frames, reference included, 0..255.
+        sensor_noise_255: standard deviation of noise added to all frames, reference included,
+            0..255.
         noise_seed: seed of the added noise.
-        depth: folder of another program's depth, CAM/FRAME.EXT or CAM.EXT (npy, npz, png, exr, pfm, bin).
+        depth: folder of another program's depth, CAM/FRAME.EXT or CAM.EXT (npy, npz, png, exr, pfm,
+            bin).
         depth_scale: world units per unit of those files; 0 fits one factor to matched points.
         depth_is: z of each pixel, or length of its ray.
     """
@@ -80,11 +86,20 @@ class CaptureOptions:
 
     def open(self, path: Path) -> Capture:
         """Open a capture and report which cameras and frames were dropped or modified."""
-        capture = open_capture(path, self.layout, units=given_units(self.units), drop_unsynced=not self.keep_unsynced)
-        edit = CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise_255, self.noise_seed)
+        capture = open_capture(
+            path, self.layout, units=given_units(self.units), drop_unsynced=not self.keep_unsynced
+        )
+        edit = CaptureEdit(
+            hold_frames=self.hold_frames,
+            hold_frame=self.hold_frame,
+            sensor_noise_255=self.sensor_noise_255,
+            noise_seed=self.noise_seed,
+        )
         capture = perturb_capture(capture, edit)
         if self.depth is not None:
-            capture = DEPTH_FILES["maps"](capture, GivenDepth(str(self.depth), self.depth_scale, self.depth_is == "distance"))
+            capture = DEPTH_FILES["maps"](
+                capture, GivenDepth(str(self.depth), self.depth_scale, self.depth_is == "distance")
+            )
         for note in capture.notes:
             print(f"{path}: {note}", file=sys.stderr)
         return capture
@@ -110,7 +125,9 @@ HERE = Engine()
 
 
 def changed_flags(options: Any, default: Any) -> list[str]:
-    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+    """A frozen dataclass of options as words of the command line.
+
+    Only what differs from its defaults.
 
     Args:
         options: values that are truth values, numbers, texts, paths, tuples of texts, or None.

@@ -1,4 +1,7 @@
-"""The command line. Errors of user and machine are one line and exit code 1; bugs keep their traceback."""
+"""The command line. Errors of user and machine are one line and exit code 1.
+
+Bugs keep their traceback.
+"""
 
 import codecs
 import inspect
@@ -23,11 +26,15 @@ Commands = Mapping[str, "Command | Commands"]
 
 
 # A verb is loaded when it is called; `train` has a subcommand for each network.
-COMMANDS: Registry["Command | Commands"] = Registry("commands", {name: verb.target for name, verb in VERBS.items()})
+COMMANDS: Registry["Command | Commands"] = Registry(
+    "commands", {name: verb.target for name, verb in VERBS.items()}
+)
 WIDEST = 100  # of the overview's lines, in characters
 PLUGIN = "--plugin"  # of any verb: a file with metrics, methods or layouts of the user's own
-PLAIN, PLAIN_SIGNS = "ggvs-eval-plain", str.maketrans("─━–—−±×·", "-----~x.")  # how stdout writes what it cannot
-CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
+# how stdout writes what it cannot
+PLAIN, PLAIN_SIGNS = "ggvs-eval-plain", str.maketrans("─━–—−±×·", "-----~x.")
+# the second and later lines of an argument in a docstring
+CONTINUED = re.compile(r"\n {12,}(?=\S)")
 ABOUT = {
     "ggvs-eval": "Evaluate multi-view 3D video synthesis. "
     "Every command also takes --plugin FILE.py: metrics, methods and layouts of your own.",
@@ -44,7 +51,11 @@ def run_command(arguments: list[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors=PLAIN)  # of cron and containers, which may know ASCII alone
     try:
-        call_command("ggvs-eval", COMMANDS, _without_plugins(sys.argv[1:] if arguments is None else arguments))
+        call_command(
+            "ggvs-eval",
+            COMMANDS,
+            _without_plugins(sys.argv[1:] if arguments is None else arguments),
+        )
         sys.stdout.flush()
     except BrokenPipeError:  # `ggvs-eval ... | head`
         _forget_output()
@@ -60,7 +71,9 @@ def run_command(arguments: list[str] | None = None) -> None:
 def _plain(error: UnicodeError) -> tuple[str, int]:
     """Write what a terminal lacks by what is nearest to it."""
     assert isinstance(error, UnicodeEncodeError)
-    return error.object[error.start : error.end].translate(PLAIN_SIGNS).encode("ascii", "replace").decode(), error.end
+    return error.object[error.start : error.end].translate(PLAIN_SIGNS).encode(
+        "ascii", "replace"
+    ).decode(), error.end
 
 
 def _show_warning(
@@ -71,14 +84,24 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Write this package's warnings like its errors, without the place in the code; others as usual."""
+    """Write this package's warnings like its errors, without the place in the code.
+
+    Others as usual.
+    """
     is_package_warning = issubclass(category, GgvsWarning)
-    text = f"ggvs-eval: {message}" if is_package_warning else warnings.formatwarning(message, category, filename, lineno, line)
+    text = (
+        f"ggvs-eval: {message}"
+        if is_package_warning
+        else warnings.formatwarning(message, category, filename, lineno, line)
+    )
     print(text, file=file or sys.stderr, flush=True)
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:
-    """Return the command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on."""
+    """Return the command line without ``--plugin FILE.py``, which any verb takes.
+
+    The files' objects are known from then on.
+    """
     left = list(words)
     while PLUGIN in left:
         at = left.index(PLUGIN)
@@ -97,7 +120,8 @@ def _forget_output() -> None:
 def call_command(program: str, commands: Commands, words: Sequence[str]) -> None:
     """Call the command that the first word names with the options that follow it.
 
-    Each command has its own parser, so that a mistyped option is compared with the options of that command alone.
+    Each command has its own parser, so that a mistyped option is compared with the options of that
+    command alone.
 
     Args:
         program: the words before, for messages.
@@ -118,17 +142,27 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         command = commands[name]
     except KeyError:
         called, suggestion = " ".join([*program.split()[1:], name]), did_you_mean(name, commands)
-        raise CommandError(f"no command {called!r}; commands are {', '.join(commands)}{suggestion}") from None
+        raise CommandError(
+            f"no command {called!r}; commands are {', '.join(commands)}{suggestion}"
+        ) from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
     else:
         import tyro  # not before a command is called
 
         called = f"{program} {name}"
-        command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
+        # tyro would break help where the source does
+        command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")
         verb = VERBS.get(called.split()[1])
-        example = f"\n\nExample: {called} {verb.example.replace('NETWORK', name)}" if verb else ""  # a plug-in's has none
-        tyro.cli(command, prog=called, args=words[1:], description=_about(command) + example, config=(tyro.conf.DisallowNone,))
+        # a plug-in's has none
+        example = f"\n\nExample: {called} {verb.example.replace('NETWORK', name)}" if verb else ""
+        tyro.cli(
+            command,
+            prog=called,
+            args=words[1:],
+            description=_about(command) + example,
+            config=(tyro.conf.DisallowNone,),
+        )
 
 
 def _about(command: Callable[..., None]) -> str:
@@ -138,7 +172,10 @@ def _about(command: Callable[..., None]) -> str:
 
 
 def _overview(program: str, commands: Commands) -> str:
-    """Return the commands of a program by their groups, each with its line of help; of what ships nothing is loaded."""
+    """Return the commands of a program by their groups, each with its line of help.
+
+    Of what ships nothing is loaded.
+    """
     groups: dict[str, dict[str, str]] = {}
     for name in commands:
         verb = VERBS.get(name) if commands is COMMANDS else None
@@ -150,5 +187,10 @@ def _overview(program: str, commands: Commands) -> str:
     for group, abouts in groups.items():
         lines += ["", f"{group}:"]
         for name, about in abouts.items():
-            lines += textwrap.wrap(about, width, initial_indent=f"  {name}".ljust(column), subsequent_indent=column * " ")
+            lines += textwrap.wrap(
+                about,
+                width,
+                initial_indent=f"  {name}".ljust(column),
+                subsequent_indent=column * " ",
+            )
     return "\n".join([*lines, "", f"`{program} COMMAND --help` shows the options of a command."])

@@ -41,13 +41,15 @@ def play(
     """Render a camera orbit within the rig to a video; print the frame rate.
 
     Args:
-        source: capture, with frames and depth cached next to the video (OUT-cache); or a run folder.
+        source: capture, with frames and depth cached next to the video (OUT-cache); or a run
+            folder.
         out: MP4 file to write.
         method: rendering method.
         k: number of source views; the run's, or 4, by default.
         frames: instants of one orbit, from the first; all, or 90 of a single instant, by default.
         width: width of the video, pixels; that of the captured frames by default.
-        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest, by default.
+        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest,
+            by default.
         device: device of networks, for the method and a capture's depth (--matcher raft, itermvs).
         reading: capture reading.
         depth: depth estimation of a capture.
@@ -59,11 +61,20 @@ def play(
     device = checked_device(device)
     online_method(method, device)
     require_writable(out)
-    cache, options = out.with_name(f"{out.stem}-cache"), PlayOptions(k, frames, width, sources)
-    playback = make_playback(open_source(source, reading, jobs), options, depth.options(device), cache, jobs)
+    cache, options = (
+        out.with_name(f"{out.stem}-cache"),
+        PlayOptions(k=k, frames=frames, width=width, sources=sources),
+    )
+    playback = make_playback(
+        open_source(source, reading, jobs), options, depth.options(device), cache, jobs
+    )
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
-    print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
+    print(
+        f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}",
+        timing.table(),
+        sep="\n",
+    )
 
 
 def open_source(source: Path, reading: CaptureOptions, jobs: int) -> RunPlan | Capture:

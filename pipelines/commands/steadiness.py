@@ -20,7 +20,8 @@ def steadiness(
     """Measure stability and sharpness of videos without a reference.
 
     Args:
-        videos: NAME=PATH per method: folder of numbered pictures or of views, .mp4, .mov, .npy or .npz.
+        videos: NAME=PATH per method: folder of numbered pictures or of views, .mp4, .mov, .npy or
+            .npz.
         depth: paths are depth or disparity maps: .png, .tif, .pfm, .npy, .npz or grey video.
         mask: picture, white in static areas, for a fixed camera; all pixels by default.
         colmap: also test whether COLMAP registers a video of a moving camera (a few seconds each).
@@ -28,17 +29,26 @@ def steadiness(
     """
     from ggvs_eval.pipelines.run.import_renders import named_renders
     from ggvs_eval.pipelines.run.steadiness import measure_steadiness
-    from ggvs_eval.reports.tables.steadiness import FORMATS, remarks_on, steadiness_table, write_steadiness
+    from ggvs_eval.reports.tables.steadiness import (
+        FORMATS,
+        remarks_on,
+        steadiness_table,
+        write_steadiness,
+    )
     from ggvs_eval.reports.tables.table_formats import to_markdown
 
     if depth and colmap:
         raise MetricError("wanted --depth or --colmap, got both; COLMAP needs pictures, omit one")
     if out is not None and out.suffix not in FORMATS:
-        raise RenderError(f"{out}: wanted a file name with {', '.join(FORMATS)}, got {out.suffix or 'none'}; change it")
+        raise RenderError(
+            f"{out}: wanted a file name with {', '.join(FORMATS)}, got {out.suffix or 'none'}; "
+            f"change it"
+        )
     paths = named_renders(videos, in_run=False)
     if not paths:
         raise RenderError(
-            "wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`"
+            "wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness "
+            "ours=renders/cam00 theirs=video.mp4`"
         )
     result = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
     where = "in all pixels" if mask is None else f"where {mask.name} is white"

@@ -13,11 +13,14 @@ NAMED, NAMES_WIDTH = 8, 24
 Line = tuple[str, str, str, str, str]
 
 
-def text_table(columns: Mapping[str, int], rows: Iterable[Sequence[str]], width: int = WIDTH) -> str:
+def text_table(
+    columns: Mapping[str, int], rows: Iterable[Sequence[str]], width: int = WIDTH
+) -> str:
     """Lay out rows under their headings.
 
     Args:
-        columns: heading -> share of the space that is left; 0 for a column as wide as its text, which is never wrapped.
+        columns: heading -> share of the space that is left; 0 for a column as wide as its text,
+            which is never wrapped.
     """
     from rich import box
     from rich.console import Console
@@ -39,7 +42,8 @@ def findings_table(
     heads: tuple[str, str] = ("question", "camera"),
     most_lines: int = MOST_LINES,
 ) -> str:
-    """Return one line per question with the worst verdict where the rig has an answer, and one for each group that deviates.
+    """Return one line per question with the worst verdict where the rig has an answer, and one for
+    each group that deviates.
 
     Args:
         findings: of any subjects and questions; questions come in the order of their first finding.
@@ -48,12 +52,16 @@ def findings_table(
     columns = {heads[0]: 0, "verdict": 0, heads[1]: 0, "measured": 3, "what to do": 2}
     lines: list[Line] = []
     for question in dict.fromkeys(finding.question for finding in findings):
-        lines += _question_lines([finding for finding in findings if finding.question == question], most_lines)
+        lines += _question_lines(
+            [finding for finding in findings if finding.question == question], most_lines
+        )
     return text_table(columns, _merged(lines), width)
 
 
 def _merged(lines: Sequence[Line]) -> list[Line]:
-    """Questions in a row that have the same answer, in one line: a capture that does not open leaves all of them unknown."""
+    """Questions in a row that have the same answer, in one line: a capture that does not open
+    leaves all of them unknown.
+    """
     merged: list[Line] = []
     for line in lines:
         if merged and line[0] and merged[-1][1:] == line[1:] and line[1] == "unknown":
@@ -64,31 +72,60 @@ def _merged(lines: Sequence[Line]) -> list[Line]:
 
 
 def _question_lines(findings: Sequence[Finding], most_lines: int) -> list[Line]:
-    """Return the line of the rig, and those of groups that deviate; the first names the question."""
+    """Return the line of the rig, and those of groups that deviate.
+
+    The first names the question.
+    """
     rig = next((finding for finding in findings if finding.subject == RIG), None)
     lines: list[Line] = []
     if rig is not None:
         verdict = worst(findings)
-        lines.append((rig.question, verdict.upper() if verdict == "bad" else verdict, "", rig.measured, rig.advice))
+        lines.append(
+            (
+                rig.question,
+                verdict.upper() if verdict == "bad" else verdict,
+                "",
+                rig.measured,
+                rig.advice,
+            )
+        )
     said, groups = "", _alike(_deviating(findings, rig))
     for group in groups[:most_lines]:
         first = group[0]
-        question, advice = "" if lines else first.question, '"' if said and first.advice == said else first.advice
-        lines.append((question, f"  {first.verdict}" if rig else first.verdict, _named(group), first.measured, advice))
+        question, advice = (
+            "" if lines else first.question,
+            '"' if said and first.advice == said else first.advice,
+        )
+        lines.append(
+            (
+                question,
+                f"  {first.verdict}" if rig else first.verdict,
+                _named(group),
+                first.measured,
+                advice,
+            )
+        )
         said = first.advice
     if len(groups) > most_lines:
         n_left = sum(map(len, groups[most_lines:]))
-        lines.append(("", "  ...", "", f"{n_left} more cameras deviate; all are in the JSON file", ""))
+        lines.append(
+            ("", "  ...", "", f"{n_left} more cameras deviate; all are in the JSON file", "")
+        )
     return lines
 
 
 def _deviating(findings: Sequence[Finding], rig: Finding | None) -> list[Finding]:
-    """Return the findings that are not ok; a reason that all share is given once, in the line of the rig."""
+    """Return the findings that are not ok.
+
+    A reason that all share is given once, in the line of the rig.
+    """
     if rig is not None and rig.verdict == worst(findings) == "unknown":
         return []
     hidden = {rig.measured} if rig is not None and rig.verdict == "unknown" else set()
     return [
-        finding for finding in findings if finding.subject != RIG and finding.verdict != "ok" and finding.measured not in hidden
+        finding
+        for finding in findings
+        if finding.subject != RIG and finding.verdict != "ok" and finding.measured not in hidden
     ]
 
 
@@ -102,4 +139,6 @@ def _alike(findings: Sequence[Finding]) -> list[list[Finding]]:
 
 def _named(group: Sequence[Finding]) -> str:
     names = ", ".join(finding.subject for finding in group[:NAMED])
-    return textwrap.fill(names + (f" and {len(group) - NAMED} more" if len(group) > NAMED else ""), NAMES_WIDTH)
+    return textwrap.fill(
+        names + (f" and {len(group) - NAMED} more" if len(group) > NAMED else ""), NAMES_WIDTH
+    )

@@ -23,7 +23,9 @@ INTERPOLATION = OnlineMethod(
 
 
 def learned_method(baseline: LearnedBaseline) -> OnlineMethod:
-    """Return a network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
+    """Return a network that renders with the weights that ship, if any do, or with a checkpoint of
+    its authors.
+    """
     retrained = baseline.retrained
     return OnlineMethod(
         f"{baseline.title}{RETRAINED.format(retrained)}" if retrained else baseline.title,
@@ -32,7 +34,8 @@ def learned_method(baseline: LearnedBaseline) -> OnlineMethod:
         given=baseline.options,
         takes=("weights", "device"),
         weights=(shipped(baseline.weights),) if retrained else (),
-        checkpoint=f"{baseline.checkpoint}, not included; pass them by --weights {baseline.name}=FILE",
+        checkpoint=f"{baseline.checkpoint}, not included; pass them by --weights "
+        f"{baseline.name}=FILE",
         title_from=baseline.title,
         uses_depth=baseline.uses_depth,
         departs=f"{retrained} network, trained here" if retrained else "",

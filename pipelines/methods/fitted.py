@@ -1,4 +1,6 @@
-"""Methods that are fitted to one capture: here, as offline references and frame by frame, or by others."""
+"""Methods that are fitted to one capture: here, as offline references and frame by frame, or by
+others.
+"""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
@@ -62,7 +64,9 @@ class FittedMethod(SceneMethod):
         device = {} if self.device == "cpu" else {"device": self.device}
         with self.guard("cannot be made", RenderError):
             kind: type[SceneFitter] = resolve_name(self.fitter)
-            return build_table(kind, {**self.options, **device}, f"method {self.title}", "", RenderError)
+            return build_table(
+                kind, {**self.options, **device}, f"method {self.title}", "", RenderError
+            )
 
     def require(self) -> None:
         """Make its fitter."""
@@ -80,7 +84,10 @@ class FittedMethod(SceneMethod):
         """
         fit = self._fit(unit)
         if not fit.is_done():
-            raise RenderError(f"{fit.name}: wanted its scene in {fit.folder}, got none; render again, which fits it first")
+            raise RenderError(
+                f"{fit.name}: wanted its scene in {fit.folder}, got none; render again, which fits "
+                f"it first"
+            )
         if reason := read_json(fit.folder / JOB_FILE).get(REFUSED):
             raise ViewRefusedError(reason)
         return self.make_fitter().load(fit.folder)
@@ -91,7 +98,9 @@ class FittedMethod(SceneMethod):
         words = option_words(values)
         seed = values.pop("seed", 0)
         if type(seed) is not int or seed < 0:
-            raise RenderError(f"method {label}: seed must be a whole number of 0 or more, got {seed!r}")
+            raise RenderError(
+                f"method {label}: seed must be a whole number of 0 or more, got {seed!r}"
+            )
         configured = replace(self, title=f"{self.title}, {words}", options=values, seed=seed)
         configured.make_fitter()
         return configured
@@ -103,15 +112,20 @@ class FittedMethod(SceneMethod):
 
     def _fit(self, unit: RenderUnit) -> Made:
         if unit.fit is None:
-            raise RenderError(f"{self.title} is fitted per scene, got a run planned without it; prepare the run with this method")
+            raise RenderError(
+                f"{self.title} is fitted per scene, got a run planned without it; prepare the run "
+                f"with this method"
+            )
         return unit.fit
 
 
 FOUR_D = FittedMethod(
     "4DGS (compact)",
-    "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each alone, fit to the whole clip",
+    "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each alone, "
+    "fit to the whole clip",
     "ggvs_eval.baselines.fitted.four_d:FourD",
-    departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a step; black background",
+    departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a "
+    "step; black background",
 )
 PER_INSTANT = FittedMethod(
     "3DGS per Instant",
@@ -122,10 +136,12 @@ PER_INSTANT = FittedMethod(
 )
 STREAM = FittedMethod(
     "3DGStream (compact)",
-    "the cloud of the previous instant, moved by a small field and completed, with seconds of fitting per instant",
+    "the cloud of the previous instant, moved by a small field and completed, with seconds of "
+    "fitting per instant",
     "ggvs_eval.baselines.fitted.stream:Stream",
     online=True,
-    departs="starts from estimated depth; dense planes in place of hash grids; harmonics do not turn",
+    departs="starts from estimated depth; dense planes in place of hash grids; harmonics do not "
+    "turn",
 )
 
 
@@ -167,7 +183,8 @@ class StoredSplats(SceneMethod):
         open_splats(self.path)
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Return the files, the settings next to them, the clip that they belong to, and the places of the targets.
+        """Return the files, the settings next to them, the clip that they belong to, and the places
+        of the targets.
 
         Raises:
             RenderError: a sequence that lacks an instant, before anything is prepared.
@@ -175,7 +192,11 @@ class StoredSplats(SceneMethod):
         instants, settings = [0, unit.capture.n_frames], splats_settings(self.path).files
         require_instants(self.path, [frame for _, frame, _ in unit.shots], unit.capture.n_frames)
         stated = {"settings": digest_files(settings)} if settings else {}
-        return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()} | stated
+        return {
+            "splats": digest_files(splats_files(self.path)),
+            "instants": instants,
+            "shots": unit.identity_of_shots(),
+        } | stated
 
     def scene(self, unit: RenderUnit) -> FittedScene:
         """Open the files."""

@@ -10,7 +10,8 @@ class NetworkOptions:
     """Options of the methods' networks that differ from user to user.
 
     Attributes:
-        checkpoints: method -> file of weights that the user gave, of methods whose weights do not ship.
+        checkpoints: method -> file of weights that the user gave, of methods whose weights do not
+            ship.
         splats: label -> files of fitted 3D Gaussians, which become a method of that label.
         device: ``cpu``, where equal inputs give equal bits, ``cuda`` or ``cuda:N``.
     """

@@ -7,12 +7,16 @@ from ggvs_eval.plugins import DEVICE_PARTS, missing_part
 
 ONLINE = "ggvs_eval.pipelines.online"
 _STEP = str(DEVICE_PARTS.root("online step"))
-ON_DEVICE = () if missing_part(_STEP) else (_STEP,)  # with or without Warp: another machine may have it
+# with or without Warp: another machine may have it
+ON_DEVICE = () if missing_part(_STEP) else (_STEP,)
 
 # What the paper does not have, as the table of differences says it.
 UNFUSED = "adds exposure compensation and a recurrent output where nothing moves"
 INSTANT = "adds exposure compensation, settled and forgiven depth"
-ADDED = "adds exposure compensation, settled and forgiven depth and a recurrent output where nothing moves"
+ADDED = (
+    "adds exposure compensation, settled and forgiven depth and a recurrent output where "
+    "nothing moves"
+)
 
 OURS = OnlineMethod(
     "GGVS (online)",
@@ -44,7 +48,8 @@ NO_TSDF = replace(
 NAIVE = replace(
     NO_TSDF,
     title="Naive Network",
-    describe="splatted views alone: the network was trained without any depth, neither fused nor of the views",
+    describe="splatted views alone: the network was trained without any depth, neither fused nor "
+    "of the views",
     given={"guidance": "naive", "fused": False},
     weights=(shipped("blend-naive.safetensors"),),
 )

@@ -50,16 +50,22 @@ def usual_methods() -> tuple[str, ...]:
 
 def weights_takers() -> list[str]:
     """Return the labels of the methods whose weights the user can give."""
-    return [name for name, spec in METHODS.built_in().items() if isinstance(spec, OnlineMethod) and "weights" in spec.takes]
+    return [
+        name
+        for name, spec in METHODS.built_in().items()
+        if isinstance(spec, OnlineMethod) and "weights" in spec.takes
+    ]
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
-    """The method of that label; ``METHOD+OPTION=VALUE+...`` is one with other options, ``METHOD+scale=0.5`` at half the size.
+    """The method of that label.
+
+    ``METHOD+OPTION=VALUE+...`` is one with other options, ``METHOD+scale=0.5`` at half the size.
 
     Args:
         label: ``method`` or ``method+variant``.
-        networks: the user's weights, instead of those that ship, and the device; a method that has neither weights is found but
-            cannot be made.
+        networks: the user's weights, instead of those that ship, and the device; a method that has
+            neither weights is found but cannot be made.
     """
     if label in networks.splats:
         return STORED_SCENES[SPLATS].of(label, networks.splats[label])
@@ -68,7 +74,9 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
     if method in networks.checkpoints:
         if not isinstance(spec, OnlineMethod) or "weights" not in spec.takes:
             able = ", ".join(weights_takers())
-            raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {able}")
+            raise RenderError(
+                f"method {label}: {spec.title} takes no weights from outside; these do: {able}"
+            )
         spec = spec.rendering_with(networks.checkpoints[method])
     return spec.on(networks.device)
 
@@ -96,5 +104,6 @@ def _as_shipped(label: str) -> MethodSpec:
         return _checked(label, imported(label))
     suggestion = did_you_mean(label, METHODS)
     raise RenderError(
-        f"unknown method {label!r}{suggestion or '.'} Known are {', '.join(METHODS)}; one of your own needs --plugin FILE.py"
+        f"unknown method {label!r}{suggestion or '.'} Known are {', '.join(METHODS)}; one of your "
+        f"own needs --plugin FILE.py"
     )

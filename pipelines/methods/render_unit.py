@@ -1,4 +1,7 @@
-"""Unit of rendering: a test view or the camera path, with its sources; this code is part of every render's identity."""
+"""Unit of rendering: a test view or the camera path, with its sources.
+
+This code is part of every render's identity.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -64,7 +67,11 @@ class RenderUnit:
 
     def identity(self) -> dict[str, Any]:
         """Its targets, their sources, and how they are given."""
-        sources = {(name, self.capture.digest(name), key) for plan in self.plans for name, key in plan.depth_keys.items()}
+        sources = {
+            (name, self.capture.digest(name), key)
+            for plan in self.plans
+            for name, key in plan.depth_keys.items()
+        }
         return {
             "targets": [_values(plan.target) for plan in self.plans],
             "sources": sorted(sources),
@@ -79,7 +86,8 @@ class RenderUnit:
         return [[number, frame, *_values(target)] for number, frame, target in self.shots]
 
     def instants(self, method: Method) -> Iterator[Instant]:
-        """Stream the sources; a method that looks ahead has seen those of a test view, last first, when this begins.
+        """Stream the sources; a method that looks ahead has seen those of a test view, last first,
+        when this begins.
 
         Along the path time is static: a scene in which nothing moves.
         """
@@ -94,7 +102,12 @@ class RenderUnit:
         names = {name for plan in self.plans for name in plan.depth_keys}
         images = {name: self.capture.frame(name, self.path_frame) for name in sorted(names)}
         for pose, plan in enumerate(self.plans):
-            yield Instant(pose, plan.target, self._views(plan, images, self.path_frame), self.capture.units_per_metre)
+            yield Instant(
+                index=pose,
+                target=plan.target,
+                sources=self._views(plan, images, self.path_frame),
+                units_per_metre=self.capture.units_per_metre,
+            )
 
     def _decoded(self, frames: range) -> Iterator[Instant]:
         """Decode the sources of one target side by side, frame by frame."""
@@ -102,16 +115,35 @@ class RenderUnit:
         streams = [self.capture.frames(name, frames.start, frames.stop) for name in plan.depth_keys]
         for index, images in zip(frames, zip(*streams, strict=True), strict=True):
             by_name = dict(zip(plan.depth_keys, images, strict=True))
-            yield Instant(index, plan.target, self._views(plan, by_name, index), self.capture.units_per_metre)
+            yield Instant(
+                index=index,
+                target=plan.target,
+                sources=self._views(plan, by_name, index),
+                units_per_metre=self.capture.units_per_metre,
+            )
 
-    def _views(self, plan: SourcePlan, images: Mapping[str, Image8], frame: int) -> tuple[SourceView, ...]:
+    def _views(
+        self, plan: SourcePlan, images: Mapping[str, Image8], frame: int
+    ) -> tuple[SourceView, ...]:
         store, cameras = DepthStore(self.depths), self.capture
         depths = {name: store.read(key, frame) for name, key in plan.depth_keys.items()}
         return tuple(
-            SourceView(cameras.camera(name), images[name], stored.depth, stored.confidence, plan.shares[name])
+            SourceView(
+                camera=cameras.camera(name),
+                image=images[name],
+                depth=stored.depth,
+                confidence=stored.confidence,
+                share=plan.shares[name],
+            )
             for name, stored in depths.items()
         )
 
 
 def _values(camera: Camera) -> list[float]:
-    return [*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far]
+    return [
+        *camera.K.ravel(),
+        *camera.world_to_camera.ravel(),
+        *camera.size,
+        camera.near,
+        camera.far,
+    ]

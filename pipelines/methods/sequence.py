@@ -29,10 +29,12 @@ def open_sequence(path: Path, n_frames: int | None) -> CloudSequence:
 
     Args:
         path: see `splats_files`; or the folder of a fit, ``RUN/fits/LABEL/FOLD``.
-        n_frames: of the capture, by which Gaussians of 4DGS's authors move; None if it is not known.
+        n_frames: of the capture, by which Gaussians of 4DGS's authors move; None if it is not
+            known.
 
     Raises:
-        RenderError: nothing there that is known, a fit that is not finished, or files of 4DGS without the length of their clip.
+        RenderError: nothing there that is known, a fit that is not finished, or files of 4DGS
+            without the length of their clip.
     """
     if path.is_dir() and any(path.glob("*.safetensors")):
         from ggvs_eval.baselines.fitted.clouds import FittedClouds
@@ -40,6 +42,7 @@ def open_sequence(path: Path, n_frames: int | None) -> CloudSequence:
         return FittedClouds(path)
     if n_frames is None and splats_files(path)[-1].name == DEFORMATION:
         raise RenderError(
-            f"{path}: wanted --capture with 4DGS output, whose motion depends on the clip's length, got none; add it"
+            f"{path}: wanted --capture with 4DGS output, whose motion depends on the clip's "
+            f"length, got none; add it"
         )
     return open_splats(path, range(n_frames or 1))

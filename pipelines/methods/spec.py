@@ -1,4 +1,6 @@
-"""Specification of a method: its name, options, identity and rendering, also at a fraction of the size."""
+"""Specification of a method: its name, options, identity and rendering, also at a fraction of the
+size.
+"""
 
 import hashlib
 import tomllib
@@ -32,15 +34,17 @@ SMALLEST_PX = 16  # of the shorter side
 
 
 class AtScale:
-    """A method that renders small pictures for a large screen; both changes of size are stages of its time.
+    """A method that renders small pictures for a large screen.
+
+    Both changes of size are stages of its time.
 
     Args:
         method: a fresh one.
         scale: of both sides, in (0, 1).
 
     Reading:
-        Sources are averaged over areas; their depth is that of the nearest pixel, since means of two surfaces are on none. The
-        picture is enlarged by cubic interpolation, as screens do.
+        Sources are averaged over areas; their depth is that of the nearest pixel, since means of
+        two surfaces are on none. The picture is enlarged by cubic interpolation, as screens do.
     """
 
     def __init__(self, method: Method, scale: float) -> None:
@@ -51,13 +55,21 @@ class AtScale:
         begun = perf_counter()
         target = instant.target
         small_target = target.resized(*self._small(*target.size))
-        small = replace(instant, target=small_target, sources=tuple(map(self._shrunk, instant.sources)))
+        small = replace(
+            instant, target=small_target, sources=tuple(map(self._shrunk, instant.sources))
+        )
         shrunk = perf_counter()
         rendering = self._method.step(small)
         rendered = perf_counter()
-        image = np.clip(cv2.resize(rendering.image, target.size, interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
+        image = np.clip(
+            cv2.resize(rendering.image, target.size, interpolation=cv2.INTER_CUBIC), 0.0, 1.0
+        )
         depth = None if rendering.depth is None else _nearest(rendering.depth, target.size)
-        seconds = {"shrink": shrunk - begun, **rendering.seconds, "enlarge": perf_counter() - rendered}
+        seconds = {
+            "shrink": shrunk - begun,
+            **rendering.seconds,
+            "enlarge": perf_counter() - rendered,
+        }
         return replace(rendering, image=np.asarray(image, np.float32), depth=depth, seconds=seconds)
 
     def _small(self, width: int, height: int) -> tuple[int, int]:
@@ -68,7 +80,13 @@ class AtScale:
         size = self._small(*source.camera.size)
         image = np.asarray(cv2.resize(source.image, size, interpolation=cv2.INTER_AREA), np.uint8)
         depth, confidence = _nearest(source.depth, size), _nearest(source.confidence, size)
-        return replace(source, camera=source.camera.resized(*size), image=image, depth=depth, confidence=confidence)
+        return replace(
+            source,
+            camera=source.camera.resized(*size),
+            image=image,
+            depth=depth,
+            confidence=confidence,
+        )
 
 
 def _nearest(values: Map, size: tuple[int, int]) -> Map:
@@ -97,7 +115,8 @@ class MethodSpec(ABC):
         device: where its networks compute, if it has any.
         departs: what is not as its authors published it.
         foreign: whether a plug-in offers it: what goes wrong in it refuses the view.
-        preparation: a run's preparation that it cannot be rendered without; see `built_in.PREPARATIONS`.
+        preparation: a run's preparation that it cannot be rendered without; see
+            `built_in.PREPARATIONS`.
     """
 
     preparation: ClassVar[str] = ""
@@ -123,7 +142,9 @@ class MethodSpec(ABC):
 
     @property
     def declared(self) -> dict[str, str]:
-        """Differences from other methods by design, which no protocol removes: head of a column -> text."""
+        """Differences from other methods by design, which no protocol removes: head of a column ->
+        text.
+        """
         return {
             "depth": "given" if self.uses_depth else "none",
             LEARNED: self.learned_from,
@@ -132,7 +153,10 @@ class MethodSpec(ABC):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
+        """Options of its classes that the label fixes, by name.
+
+        Neither files nor the device, which are recorded apart.
+        """
         return {}
 
     @property
@@ -158,14 +182,20 @@ class MethodSpec(ABC):
 
     @abstractmethod
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Everything that the pixels of a unit depend on, besides the label, the code and the device."""
+        """Everything that the pixels of a unit depend on, besides the label, the code and the
+        device.
+        """
 
     @abstractmethod
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Render the shots of a unit, one by one."""
 
-    def guard(self, event: str, kind: type[GgvsError] = ViewRefusedError) -> AbstractContextManager[None]:
-        """Turn what its code raises in a block into an error that says what it did, where a plug-in offers it."""
+    def guard(
+        self, event: str, kind: type[GgvsError] = ViewRefusedError
+    ) -> AbstractContextManager[None]:
+        """Turn what its code raises in a block into an error that says what it did, where a plug-in
+        offers it.
+        """
         return foreign(f"method {self.title}: {event}", kind) if self.foreign else nullcontext()
 
     def configured(self, label: str, variant: str) -> "MethodSpec":
@@ -186,14 +216,19 @@ class OnlineMethod(MethodSpec):
     """A method that is shown one instant after the other.
 
     Attributes:
-        maker: class of what renders one sequence, or its ``module:class``, which is imported only then.
-        given: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
-            ``enerf+scale=0.5`` has any method render at a fraction of the size.
-        takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a checkpoint, and ``options``, which
-            are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
+        maker: class of what renders one sequence, or its ``module:class``, which is imported only
+            then.
+        given: keywords of `maker` that the label, the user's weights and the device set, and
+            ``scale``: a label such as ``enerf+scale=0.5`` has any method render at a fraction of
+            the size.
+        takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a
+            checkpoint, and ``options``, which are `OnlineOptions`, for labels such as
+            ``ours+beta_temporal=0.6``.
         weights: files of the trained weights it renders with.
-        checkpoint: what the user has to give where none ship, and how; empty if `maker` takes no file.
-        title_from: how tables call it then, if not by `title`: weights trained here are labelled so.
+        checkpoint: what the user has to give where none ship, and how; empty if `maker` takes no
+            file.
+        title_from: how tables call it then, if not by `title`: weights trained here are labelled
+            so.
         options_type: dataclass of its ``options``, as ``module:class``.
         device_modules: what it renders with besides on a device that is not the CPU.
     """
@@ -211,18 +246,25 @@ class OnlineMethod(MethodSpec):
     @property
     def modules(self) -> tuple[str, ...]:
         """See `MethodSpec.modules`."""
-        module = self.maker.partition(":")[0] if isinstance(self.maker, str) else self.maker.__module__
+        module = (
+            self.maker.partition(":")[0] if isinstance(self.maker, str) else self.maker.__module__
+        )
         return (module, *(self.device_modules if self.device != "cpu" else ()))
 
     @property
     def learned_from(self) -> str:
         """Other captures, and how many pixels of them where the weights say so."""
-        from ggvs_eval.files.weights_file import read_notes  # late, for the sake of a fast command line
+        # late, for the sake of a fast command line
+        from ggvs_eval.files.weights_file import read_notes
 
         if not self.weights:
             return "nothing"
-        pixels = [int(notes["pixels"]) for notes in map(read_notes, self.weights) if "pixels" in notes]
-        return "other captures" + "".join(f", {count / 1e6:,.0f} million pixels" for count in pixels)
+        pixels = [
+            int(notes["pixels"]) for notes in map(read_notes, self.weights) if "pixels" in notes
+        ]
+        return "other captures" + "".join(
+            f", {count / 1e6:,.0f} million pixels" for count in pixels
+        )
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -248,7 +290,11 @@ class OnlineMethod(MethodSpec):
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
         """Return the settings, weights and inputs."""
-        return {"settings": self.settings, "weights": [digest_weights(file) for file in self.weights], **unit.identity()}
+        return {
+            "settings": self.settings,
+            "weights": [digest_weights(file) for file in self.weights],
+            **unit.identity(),
+        }
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Yield the step through the instants; only the frames of one are in memory."""
@@ -265,11 +311,18 @@ class OnlineMethod(MethodSpec):
         if "scale" in values:
             arguments["scale"] = scale = values.pop("scale")
             if type(scale) is not float or not 0 < scale < 1 or not self.online:
-                raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
+                raise RenderError(
+                    f"method {label}: wanted a scale between 0 and 1 of a method that is online, "
+                    f"got {scale!r}"
+                )
         if values and "options" not in self.takes:
-            raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
+            raise RenderError(
+                f"method {label}: {self.title} has no option but scale, got {', '.join(values)}"
+            )
         if values:
-            arguments["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
+            arguments["options"] = build_table(
+                resolve_name(self.options_type), values, f"method {label}", "", RenderError
+            )
             departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
         return replace(self, title=title, given=arguments, departs=departs)
@@ -282,15 +335,25 @@ class OnlineMethod(MethodSpec):
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
         """Return the method with a file of weights that the user gave."""
-        arguments, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
-        return replace(self, title=self.title_from or self.title, given=arguments, takes=takes, weights=(checkpoint,))
+        arguments, takes = (
+            {**self.given, "weights": checkpoint},
+            tuple(name for name in self.takes if name != "weights"),
+        )
+        return replace(
+            self,
+            title=self.title_from or self.title,
+            given=arguments,
+            takes=takes,
+            weights=(checkpoint,),
+        )
 
 
 class ForeignMethod:
-    """A method of a plug-in: a view that it fails in is one that it refuses, and it is shown copies.
+    """A method of a plug-in: a view that it fails in is one that it refuses, and it is shown
+    copies.
 
-    To copy four sources of 1352 x 1014 pixels with their depth takes 35 ms of a step, which no table counts. A method that
-    does not time its stages has one, the whole step.
+    To copy four sources of 1352 x 1014 pixels with their depth takes 35 ms of a step, which no
+    table counts. A method that does not time its stages has one, the whole step.
     """
 
     def __init__(self, title: str, factory: Callable[[], Method]) -> None:
@@ -304,7 +367,8 @@ class ForeignMethod:
         """See `Method`.
 
         Raises:
-            ViewRefusedError: any exception of the method, or no picture of numbers of the target's size.
+            ViewRefusedError: any exception of the method, or no picture of numbers of the target's
+                size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
             instant_copy = deepcopy(instant)
@@ -322,9 +386,18 @@ class ForeignMethod:
 def _checked(output: Any, target: Camera) -> Rendering:
     shape = target.height, target.width, 3
     if not isinstance(output, Rendering) or not isinstance(output.image, np.ndarray):
-        raise TypeError(f"wanted a Rendering with an image, got {type(getattr(output, 'image', output)).__name__}")
-    if output.image.shape != shape or output.image.dtype.kind != "f" or not np.isfinite(output.image).all():
-        got = f"{output.image.dtype} {output.image.shape}" + (", not all finite" if output.image.shape == shape else "")
+        raise TypeError(
+            "wanted a Rendering with an image, got "
+            f"{type(getattr(output, 'image', output)).__name__}"
+        )
+    if (
+        output.image.shape != shape
+        or output.image.dtype.kind != "f"
+        or not np.isfinite(output.image).all()
+    ):
+        got = f"{output.image.dtype} {output.image.shape}" + (
+            ", not all finite" if output.image.shape == shape else ""
+        )
         raise ValueError(f"wanted an image of floats in [0, 1], {shape}, got {got}")
     sum(output.seconds.values())  # numbers, or it raises
     return output
@@ -332,7 +405,10 @@ def _checked(output: Any, target: Camera) -> Rendering:
 
 @dataclass(frozen=True)
 class SceneMethod(MethodSpec):
-    """A method that renders from a scene, which was made of a whole capture before; it makes no step."""
+    """A method that renders from a scene, which was made of a whole capture before.
+
+    It makes no step.
+    """
 
     @abstractmethod
     def scene(self, unit: RenderUnit) -> "FittedScene":
@@ -345,7 +421,8 @@ class SceneMethod(MethodSpec):
             RenderError: always.
         """
         raise RenderError(
-            f"{self.title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`"
+            f"{self.title} is fitted to a whole capture and cannot be shown frame by frame; render "
+            f"it with `ggvs-eval run`"
         )
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
@@ -371,20 +448,33 @@ def _digest_of(file: Path, _size: int, _mtime_ns: int) -> str:
 
 
 def option_values(variant: str) -> dict[str, Any]:
-    """Return the options of a variant such as ``motion=linear+seed=1``: numbers and truth values as such, anything else a word.
+    """Return the options of a variant such as ``motion=linear+seed=1``: numbers and truth values as
+    such, anything else a word.
 
     Examples:
         >>> option_values("motion=linear+seed=1")
         {'motion': 'linear', 'seed': 1}
     """
-    return {name: _option_value(text) for name, _, text in (part.partition("=") for part in variant.split("+"))}
+    return {
+        name: _option_value(text)
+        for name, _, text in (part.partition("=") for part in variant.split("+"))
+    }
 
 
 def option_words(values: Mapping[str, Any]) -> str:
-    """Return the options as titles say them, in their order: what counts something is named in the plural.
+    """Return the options as titles say them, in their order: what counts something is named in the
+    plural.
 
     Examples:
-        >>> option_words({"motion": "linear", "steps": 3000, "seed": 1, "save_every": 100, "background": False})
+        >>> option_words(
+        ...     {
+        ...         "motion": "linear",
+        ...         "steps": 3000,
+        ...         "seed": 1,
+        ...         "save_every": 100,
+        ...         "background": False,
+        ...     }
+        ... )
         'linear motion, 3,000 steps, seed 1, save every 100, no background'
     """
     return ", ".join(_words_of(name.replace("_", " "), value) for name, value in values.items())
@@ -395,7 +485,9 @@ def _words_of(name: str, value: Any) -> str:
         return name if value else f"no {name}"
     if isinstance(value, str):
         return f"{value} {name}"
-    return f"{value:,} {name}" if isinstance(value, int) and name.endswith("s") else f"{name} {value}"
+    return (
+        f"{value:,} {name}" if isinstance(value, int) and name.endswith("s") else f"{name} {value}"
+    )
 
 
 def _option_value(text: str) -> Any:

@@ -1,11 +1,13 @@
-"""Time of a run's stages before they begin: known costs of this package's stages, by the pace of this machine."""
+"""Time of a run's stages before they begin: known costs of this package's stages, by the pace of
+this machine.
+"""
 
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.results import split_label
 
-# Core-seconds per megapixel at `pace` 1, K = 4, frames of 480 x 360 to 1352 x 1014; a plug-in's method has none until it has
-# rendered a frame.
-COSTS = {"truth": 0.3, "checked depth": 0.5, "mask": 0.3, "path depth": 0.6}  # of what has one way to be made
+# Core-seconds per megapixel at `pace` 1, K = 4, frames of 480 x 360 to 1352 x 1014; a plug-in's
+# method has none until it has rendered a frame. of what has one way to be made
+COSTS = {"truth": 0.3, "checked depth": 0.5, "mask": 0.3, "path depth": 0.6}
 DEPTH = {"sgbm": 4.0, "live": 0.9, "raft": 25.0, "itermvs": 26.0}
 RENDERED = {
     "no-blending": 0.3,
@@ -21,8 +23,16 @@ RENDERED = {
     "interpolation": 0.6,
 }
 SCORED, LPIPS = 0.3, {"vgg": 2.0, "vgg-bf16": 2.5, "alex": 0.4}
-# Per pixel: frames as PNG, with and without sensor noise as on the demo; depth as it is stored; renders and their small copies.
-N_BYTES = {"truth": 2.1, "depth": 2.9, "checked depth": 2.9, "path depth": 4.0, "render": 1.95, "path render": 1.95}
+# Per pixel: frames as PNG, with and without sensor noise as on the demo; depth as it is stored;
+# renders and their small copies.
+N_BYTES = {
+    "truth": 2.1,
+    "depth": 2.9,
+    "checked depth": 2.9,
+    "path depth": 4.0,
+    "render": 1.95,
+    "path render": 1.95,
+}
 # Each stage of a plan's table, and what makes it shorter.
 STAGES: dict[str, str] = {
     "decoding": "fewer views.test",
@@ -51,5 +61,11 @@ def score_cost(measurement: Measurement) -> float:
 
 def stage_of(kind: str) -> str:
     """Return the row of a plan's table that a kind of piece belongs to."""
-    stages = {"truth": "decoding", "fit": "fits", "render": "rendering", "path render": "rendering", "score": "scoring"}
+    stages = {
+        "truth": "decoding",
+        "fit": "fits",
+        "render": "rendering",
+        "path render": "rendering",
+        "score": "scoring",
+    }
     return stages.get(kind, "depth")

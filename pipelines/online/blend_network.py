@@ -1,9 +1,10 @@
-"""The blending network: what its outputs mean, and the composition of Eqs. 4-5 that gradients flow through; its weights files.
+"""The blending network: what its outputs mean, and the composition of Eqs. 4-5 that gradients flow
+through; its weights files.
 
 Weights ship, one file per guidance, or are a file of the user.
 
-Its U-Net runs in torch, which training differentiates, and by compiled kernels with equal bits; these take layers packed once
-for as long as a network keeps its weights.
+Its U-Net runs in torch, which training differentiates, and by compiled kernels with equal bits;
+these take layers packed once for as long as a network keeps its weights.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -31,14 +32,20 @@ Packed = TypeVar("Packed")
 _kept: WeakKeyDictionary[nn.Module, tuple[Hashable, object]] = WeakKeyDictionary()
 LEVELS = 4
 SIZE_MULTIPLE = 2**LEVELS
-LEAST_SIZE_PX = 2 * SIZE_MULTIPLE  # the coarsest level must be two cells wide, or there is nothing to reflect
+# the coarsest level must be two cells wide, or there is nothing to reflect
+LEAST_SIZE_PX = 2 * SIZE_MULTIPLE
 BEYOND_VIEWS = 4  # outputs besides one per view: weight of the background and change of its colour
 WIDTHS = {"small": 8, "standard": 16, "large": 32}  # of named sizes; the standard one ships
 SURE = 0.02  # the background's weight starts between this and 1 - this
 NETWORK = "a blending network"  # in messages
 CPU = torch.device("cpu")
 MOST_SCALE = 8  # of a weights file, lest a wrong one asks for anything
-SUFFIXES: dict[Guidance, str] = {"registered": "", "channels": "-as-printed", "none": "-no-tsdf", "naive": "-naive"}
+SUFFIXES: dict[Guidance, str] = {
+    "registered": "",
+    "channels": "-as-printed",
+    "none": "-no-tsdf",
+    "naive": "-naive",
+}
 
 
 @dataclass(frozen=True)
@@ -47,16 +54,18 @@ class BlendNetworkShape:
 
     Attributes:
         views: the most source views it takes; fewer are fine.
-        guidance: what it sees of the fused depth: ``registered`` views, its ``channels`` as the paper prints them, or ``none``
-            (ablation 'No TSDF Guidance'); ``naive``: no depth at all.
+        guidance: what it sees of the fused depth: ``registered`` views, its ``channels`` as the
+            paper prints them, or ``none`` (ablation 'No TSDF Guidance'); ``naive``: no depth at
+            all.
         width: channels of the U-Net's first level.
         scale: the U-Net works on N times fewer pixels per side; only its weights are enlarged.
-        features: channels that the U-Net hands to a `Refiner` at full size; none, and no refiner, with 0.
+        features: channels that the U-Net hands to a `Refiner` at full size; none, and no refiner,
+            with 0.
 
     Reading:
-        The paper's network works at full size, on a GPU with TensorRT. Weights are smooth but where a view is occluded, and there
-        the coverage, which stays at full size, has the edge, as has the refiner: at a quarter of the size the U-Net costs a
-        sixteenth.
+        The paper's network works at full size, on a GPU with TensorRT. Weights are smooth but where
+        a view is occluded, and there the coverage, which stays at full size, has the edge, as has
+        the refiner: at a quarter of the size the U-Net costs a sixteenth.
     """
 
     views: int = 6
@@ -77,12 +86,15 @@ class BlendNetworkShape:
 
 
 class BlendNetwork(nn.Module):
-    """The U-Net between the input channels and the outputs that `read_outputs` understands, and the refiner behind them."""
+    """The U-Net between the input channels and the outputs that `read_outputs` understands, and the
+    refiner behind them.
+    """
 
     def __init__(self, config: BlendNetworkShape) -> None:
         super().__init__()
         self.config = config
-        self.register_buffer("scale", torch.tensor(config.scale))  # is in the weights file: no shape reveals it
+        # is in the weights file: no shape reveals it
+        self.register_buffer("scale", torch.tensor(config.scale))
         self.unet = UNet(config.inputs, config.outputs, config.width)
         for parameter in self.unet.last.parameters():
             nn.init.zeros_(parameter)  # so it begins as geometric weights and learns what to change
@@ -90,24 +102,34 @@ class BlendNetwork(nn.Module):
 
     @staticmethod
     def completed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Give earlier weights the refiner's `condition` that they lack: zeros, by which no bit changes."""
+        """Give earlier weights the refiner's `condition` that they lack: zeros, by which no bit
+        changes.
+        """
         taps = tensors.get("refiner.taps.weight")
         if taps is None or taps.ndim != 4 or "refiner.condition.weight" in tensors:
             return dict(tensors)
         width = 3 * taps.shape[1]
-        zeros = {"refiner.condition.weight": taps.new_zeros(width, STATISTICS), "refiner.condition.bias": taps.new_zeros(width)}
+        zeros = {
+            "refiner.condition.weight": taps.new_zeros(width, STATISTICS),
+            "refiner.condition.bias": taps.new_zeros(width),
+        }
         return {**tensors, **zeros}
 
     def forward(self, channels: Tensor) -> Tensor:
-        """Return the input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h, w)."""
+        """Return the input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h,
+        w).
+        """
         return self.unet(channels)
 
-    def refine(self, picture: Tensor, outputs: "BlendOutputs", views: Mapping[str, Tensor]) -> Tensor:
+    def refine(
+        self, picture: Tensor, outputs: "BlendOutputs", views: Mapping[str, Tensor]
+    ) -> Tensor:
         """Return the composed picture with the refiner's changes, if the network has one.
 
         Args:
             picture: what the outputs compose, (B, 3, H, W).
-            views: ``colours`` (B, K, 3, H, W), ``coverage`` (B, K, H, W) and ``fused_depth`` (B, H, W).
+            views: ``colours`` (B, K, 3, H, W), ``coverage`` (B, K, H, W) and ``fused_depth`` (B, H,
+                W).
 
         Returns:
             (B, 3, H, W), not limited to [0, 1].
@@ -116,7 +138,9 @@ class BlendNetwork(nn.Module):
             return picture
         coverage, depth = views["coverage"], views["fused_depth"]
         guide = depth if self.config.guidance in GUIDED else torch.zeros_like(depth)
-        evidence_maps = evidence(picture, views["colours"], outputs.weights * coverage, coverage, guide)
+        evidence_maps = evidence(
+            picture, views["colours"], outputs.weights * coverage, coverage, guide
+        )
         return self.refiner(picture, evidence_maps, outputs.features)
 
 
@@ -141,34 +165,44 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
     """Raw outputs (B, N + 4 + F, h, w) as weights, background and features at full size, float32.
 
     Args:
-        start: where it starts from: ``weights`` (B, K), the geometric weight of each view, ``unseen`` (B, H, W), how little of
-            what the target sees is shown, ``background`` (B, 3, H, W), the picture filled from its surroundings.
+        start: where it starts from: ``weights`` (B, K), the geometric weight of each view,
+            ``unseen`` (B, H, W), how little of what the target sees is shown, ``background`` (B, 3,
+            H, W), the picture filled from its surroundings.
         most_views: N, how many views the network takes; K of them are there.
 
     Reading:
-        The paper names no activations: a softmax over the views, whose ratios alone matter, a sigmoid for the background's
-        weight. Outputs are changes to geometric weights and to a filled picture, so that an untrained network is the
-        geometric blender and training starts there.
+        The paper names no activations: a softmax over the views, whose ratios alone matter, a
+        sigmoid for the background's weight. Outputs are changes to geometric weights and to a
+        filled picture, so that an untrained network is the geometric blender and training starts
+        there.
     """
     views, small = start["weights"].shape[1], small_outputs(raw, start["weights"], most_views)
     height, width = start["unseen"].shape[1:]
     scale = -(-height // small.shape[2])
     if scale > 1:
-        small = functional.interpolate(small, scale_factor=scale, mode="bilinear", align_corners=False)[..., :height, :width]
+        small = functional.interpolate(
+            small, scale_factor=scale, mode="bilinear", align_corners=False
+        )[..., :height, :width]
     return BlendOutputs(
         weights=small[:, :views],
-        background_weight=torch.sigmoid(small[:, views] + torch.logit(start["unseen"].clamp(SURE, 1 - SURE))),
+        background_weight=torch.sigmoid(
+            small[:, views] + torch.logit(start["unseen"].clamp(SURE, 1 - SURE))
+        ),
         background=(start["background"] + small[:, views + 1 : views + BEYOND_VIEWS]).clamp(0, 1),
         features=small[:, views + BEYOND_VIEWS :],
     )
 
 
 def small_outputs(raw: Tensor, weights: Tensor, most_views: int) -> Tensor:
-    """Return what `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, changes to background weight and colour, features."""
+    """Return what `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, changes to background weight
+    and colour, features.
+    """
     views = weights.shape[1]
     values = raw.float()
     logits = values[:, :views] + weights.clamp_min(NO_WEIGHT).log()[:, :, None, None]
-    sure, colour, features = values[:, most_views:].split([1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1)
+    sure, colour, features = values[:, most_views:].split(
+        [1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1
+    )
     return torch.cat([torch.softmax(logits, dim=1), sure, torch.tanh(colour), features], dim=1)
 
 
@@ -206,24 +240,33 @@ class UNet(nn.Module):
     Args:
         inputs: channels.
         outputs: channels, without a final activation.
-        width: channels of the first level; every further level doubles them, the bottleneck has 16 times as many.
+        width: channels of the first level; every further level doubles them, the bottleneck has 16
+            times as many.
 
     Reading:
-        The paper says "four-layer U-Net" and gives no width. With 32 channels the multiplications per frame fit its timings; its
-        blocks are taken after common practice for depth fusion: reflection padding and one normalisation group.
+        The paper says "four-layer U-Net" and gives no width. With 32 channels the multiplications
+        per frame fit its timings; its blocks are taken after common practice for depth fusion:
+        reflection padding and one normalisation group.
     """
 
     def __init__(self, inputs: int, outputs: int, width: int) -> None:
         super().__init__()
         widths = [width << level for level in range(LEVELS + 1)]
         befores = [inputs, *widths[:-1]]
-        self.down = nn.ModuleList(_block(before, after) for before, after in zip(befores, widths, strict=True))
-        self.up = nn.ModuleList(_block(3 * level_width, level_width) for level_width in reversed(widths[:-1]))
+        self.down = nn.ModuleList(
+            _block(before, after) for before, after in zip(befores, widths, strict=True)
+        )
+        self.up = nn.ModuleList(
+            _block(3 * level_width, level_width) for level_width in reversed(widths[:-1])
+        )
         self.pool = nn.MaxPool2d(3, 2, 1)
         self.last = nn.Conv2d(width, outputs, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return the channels in, (B, inputs, H, W), to channels out, (B, outputs, H, W); any size of at least one pixel."""
+        """Return the channels in, (B, inputs, H, W), to channels out, (B, outputs, H, W).
+
+        Any size of at least one pixel.
+        """
         height, width = features.shape[2:]
         added = (*margins(width), *margins(height))
         features = functional.pad(features, added, mode="replicate")
@@ -233,13 +276,17 @@ class UNet(nn.Module):
             skips.append(features)
         skips.pop()  # the bottleneck
         for block in self.up:
-            enlarged = functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
+            enlarged = functional.interpolate(
+                features, scale_factor=2, mode="bilinear", align_corners=False
+            )
             features = block(torch.cat([skips.pop(), enlarged], dim=1))
         return self.last(features[..., added[2] : added[2] + height, added[0] : added[0] + width])
 
 
 def _block(before: int, after: int) -> nn.Sequential:
-    """Return two times padding by reflection, 3 x 3 convolution, normalisation over all channels and pixels, ReLU."""
+    """Return two times padding by reflection, 3 x 3 convolution, normalisation over all channels
+    and pixels, ReLU.
+    """
     layers: list[nn.Module] = []
     for channels in (before, after):
         layers.append(nn.Conv2d(channels, after, 3, padding=1, padding_mode="reflect"))
@@ -260,11 +307,11 @@ def unet_outputs(unet: UNet, channels: Map, indices: NDArray[np.intp] | None = N
     Args:
         unet: its weights.
         channels: its inputs, or some of them.
-        indices: numbers of the inputs that `channels` are, ascending, all unless given. The others are 0: sums are the same bits
-            without them.
+        indices: numbers of the inputs that `channels` are, ascending, all unless given. The others
+            are 0: sums are the same bits without them.
 
-    `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need one thread for equal bits:
-    its convolutions sum in another order with more.
+    `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need
+    one thread for equal bits: its convolutions sum in another order with more.
 
     Raises:
         TypeError: another number of channels than the first layer takes.
@@ -273,14 +320,21 @@ def unet_outputs(unet: UNet, channels: Map, indices: NDArray[np.intp] | None = N
 
     key = None if indices is None else tuple(indices.tolist())
     layers = packed_once(unet, key, lambda: _layers(unet, indices))
-    last = np.ascontiguousarray(parameter_map(unet.last, "weight")[:, :, 0, 0]), parameter_map(unet.last, "bias")
+    last = (
+        np.ascontiguousarray(parameter_map(unet.last, "weight")[:, :, 0, 0]),
+        parameter_map(unet.last, "bias"),
+    )
     epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
     inputs = np.ascontiguousarray(channels, np.float32)
-    return _core.unet(inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    return _core.unet(
+        inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level())
+    )
 
 
 def _layers(unet: UNet, indices: NDArray[np.intp] | None) -> list[tuple[Map, Map, Map, Map]]:
-    """Packed filters and bias, gain and shift of all convolutions and the normalisations behind them, in order of use."""
+    """Packed filters and bias, gain and shift of all convolutions and the normalisations behind
+    them, in order of use.
+    """
     from ggvs_eval.kernels import _core
 
     modules = [module for block in (*unet.down, *unet.up) for module in block.modules()]
@@ -291,19 +345,33 @@ def _layers(unet: UNet, indices: NDArray[np.intp] | None) -> list[tuple[Map, Map
         weights, bias = parameter_map(convolution, "weight"), parameter_map(convolution, "bias")
         if indices is not None and not layers:
             weights = weights[:, indices]
-        layers.append((*_core.pack_filters(weights, bias), parameter_map(norm, "weight"), parameter_map(norm, "bias")))
+        layers.append(
+            (
+                *_core.pack_filters(weights, bias),
+                parameter_map(norm, "weight"),
+                parameter_map(norm, "bias"),
+            )
+        )
     return layers
 
 
 def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) -> Packed:
-    """Return the packed layers of a module, cached; packed again when a parameter or the key changes.
+    """Return the packed layers of a module, cached.
+
+    Packed again when a parameter or the key changes.
 
     Args:
         module: whose parameters `pack` reads.
         key: anything else it depends on.
         pack: makes what is kept.
     """
-    state = key, tuple((parameter.data_ptr(), parameter.stride(), _version(parameter)) for parameter in module.parameters())
+    state = (
+        key,
+        tuple(
+            (parameter.data_ptr(), parameter.stride(), _version(parameter))
+            for parameter in module.parameters()
+        ),
+    )
     cached = _kept.get(module)
     if cached is None or cached[0] != state:
         cached = _kept[module] = state, pack()
@@ -311,7 +379,10 @@ def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) ->
 
 
 def _version(parameter: nn.Parameter) -> int:
-    """Return the number of writes to a tensor; inference tensors, which nothing trains, do not count."""
+    """Return the number of writes to a tensor.
+
+    Inference tensors, which nothing trains, do not count.
+    """
     return -1 if parameter.is_inference() else parameter._version
 
 
@@ -334,17 +405,21 @@ def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
     folder = Path(str(resources.files("ggvs_eval.pipelines") / "weights"))
     path = folder / f"{weights_name(guidance)}.safetensors"
     if not path.is_file():
-        file_names = ", ".join(sorted(file.name for file in folder.glob("blend*.safetensors"))) or "none"
+        file_names = (
+            ", ".join(sorted(file.name for file in folder.glob("blend*.safetensors"))) or "none"
+        )
         raise WeightsError(
-            f"no blending network with {guidance} guidance ships (wanted {path.name}, there are: {file_names}); "
-            "train one (ggvs-eval train blend)"
+            f"no blending network with {guidance} guidance ships (wanted {path.name}, there are: "
+            f"{file_names}); train one (ggvs-eval train blend)"
         )
     return path
 
 
 @lru_cache(maxsize=4)
 def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
-    """Return the network of a weights file, in evaluation mode; its configuration is known from the tensors' shapes.
+    """Return the network of a weights file, in evaluation mode.
+
+    Its configuration is known from the tensors' shapes.
 
     Args:
         path: safetensors, or a torch checkpoint that is a state dict.
@@ -363,24 +438,32 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkShape:
-    """Return the configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
+    """Return the configuration whose parameters these are: by names, shapes and the scale that is
+    kept among them.
+    """
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     first, last = shapes.get("unet.down.0.0.weight", ()), shapes.get("unet.last.weight", ())
     scale = int(tensors["scale"]) if shapes.get("scale") == () else 0
     if len(first) != 4 or len(last) != 4 or not 1 <= scale <= MOST_SCALE:
-        raise WeightsError(f"{path}: {len(shapes)} tensors of no blending network; give weights that `train blend` wrote")
+        raise WeightsError(
+            f"{path}: {len(shapes)} tensors of no blending network; give weights that `train "
+            f"blend` wrote"
+        )
     looks = shapes.get("refiner.looks.0.weight", ())
     features = looks[1] - EVIDENCE if len(looks) == 4 else 0
     views = last[0] - BEYOND_VIEWS - features
     for guidance in SUFFIXES:
-        config = BlendNetworkShape(views, guidance, first[0], scale, features)
+        config = BlendNetworkShape(
+            views=views, guidance=guidance, width=first[0], scale=scale, features=features
+        )
         if views > 0 and config.inputs == first[1]:
             with torch.device("meta"):  # a wrong file may ask for any width
                 network = BlendNetwork(config)
             require_shapes(tensors, network, path, f"{NETWORK} of width {config.width}")
             return config
     raise WeightsError(
-        f"{path}: {last[0]} outputs, {views} views, want {channel_count(views, 'registered')} inputs, "
-        f"{channel_count(views, 'channels')} as printed, {channel_count(views, 'none')} without TSDF guidance or "
-        f"{channel_count(views, 'naive')} without depth, got {first[1]}; give weights that `train blend` wrote"
+        f"{path}: {last[0]} outputs, {views} views, want {channel_count(views, 'registered')} "
+        f"inputs, {channel_count(views, 'channels')} as printed, {channel_count(views, 'none')} "
+        f"without TSDF guidance or {channel_count(views, 'naive')} without depth, got {first[1]}; "
+        "give weights that `train blend` wrote"
     )

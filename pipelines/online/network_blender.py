@@ -1,8 +1,10 @@
 """Learned weights: the blending network of the paper in place of geometric ones.
 
-Full-size passes around it run by compiled kernels: all views at one glance, composition, refinement.
+Full-size passes around it run by compiled kernels: all views at one glance, composition,
+refinement.
 
-The torch code of `blend_network` and `refiner` says the same, is what training differentiates, and defines these in the tests.
+The torch code of `blend_network` and `refiner` says the same, is what training differentiates, and
+defines these in the tests.
 """
 
 from collections.abc import Mapping, Sequence
@@ -67,7 +69,8 @@ class Overview:
     Attributes:
         small: `BlendMaps.reduced`.
         unseen: `BlendMaps.unseen`, (H, W), in [0, 1].
-        picture: the views blended by coverage and their weights, black where none has any, (H, W, 3).
+        picture: the views blended by coverage and their weights, black where none has any, (H, W,
+            3).
         covered: where a splat shows something, (H, W).
     """
 
@@ -89,18 +92,34 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     arrays = (maps.colours, maps.coverage, maps.visibilities)
     colours, coverage, visibilities = (np.ascontiguousarray(array, np.float32) for array in arrays)
     alphas = [np.ascontiguousarray(array, np.float32) for array in maps.alphas]
-    outputs = _core.overview(colours, coverage, visibilities, alphas, _depths(maps), *_overview_settings(maps.weights, scale))
+    outputs = _core.overview(
+        colours,
+        coverage,
+        visibilities,
+        alphas,
+        _depths(maps),
+        *_overview_settings(maps.weights, scale),
+    )
     return _overview(maps, scale, *outputs)
 
 
 def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]:
-    """`blend_maps` with registered views, and their `overview`, in one pass: while the views are in the cache."""
+    """`blend_maps` with registered views, and their `overview`, in one pass: while the views are in
+    the cache.
+    """
     from ggvs_eval.kernels import _core
 
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
-    registration = registration_arguments(target, inputs.depth, sources, splats, inputs.tau, inputs.forgiven_px)
-    weights = view_weights(target, [source.camera for source in sources], [source.share for source in sources])
-    depths = [np.ascontiguousarray(array, np.float32) for array in (*(view.depth for view in splats), inputs.depth)]
+    registration = registration_arguments(
+        target, inputs.depth, sources, splats, inputs.tau, inputs.forgiven_px
+    )
+    weights = view_weights(
+        target, [source.camera for source in sources], [source.share for source in sources]
+    )
+    depths = [
+        np.ascontiguousarray(array, np.float32)
+        for array in (*(view.depth for view in splats), inputs.depth)
+    ]
     arguments = (*registration, float(FAINT), depths, *_overview_settings(weights, scale))
     stacks, outputs = _core.register_and_overview(*arguments)
     maps = maps_of(inputs, stacks)
@@ -116,9 +135,17 @@ def _overview_settings(weights: Map, scale: int) -> tuple[Map, int, float, int, 
 
 
 def _overview(
-    maps: BlendMaps, scale: int, picture: Map, unseen: Map, covered: NDArray[np.bool_], means: Sequence[Map], depths: Map
+    maps: BlendMaps,
+    scale: int,
+    picture: Map,
+    unseen: Map,
+    covered: NDArray[np.bool_],
+    means: Sequence[Map],
+    depths: Map,
 ) -> Overview:
-    return Overview(maps.with_means(scale, means, depths), unseen, picture, covered)
+    return Overview(
+        small=maps.with_means(scale, means, depths), unseen=unseen, picture=picture, covered=covered
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +168,8 @@ class Composed:
 
 
 def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: int) -> Composed:
-    """The views by the network's weights, over the background (Eqs. 4-5): `read_outputs` and `compose_tensors` in one pass.
+    """The views by the network's weights, over the background (Eqs. 4-5): `read_outputs` and
+    `compose_tensors` in one pass.
 
     Args:
         maps: the K views.
@@ -152,12 +180,19 @@ def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: i
     """
     from ggvs_eval.kernels import _core
 
-    views = np.ascontiguousarray(maps.colours, np.float32), np.ascontiguousarray(maps.coverage, np.float32)
+    views = (
+        np.ascontiguousarray(maps.colours, np.float32),
+        np.ascontiguousarray(maps.coverage, np.float32),
+    )
     level = SIMD_LEVELS.index(get_simd_level())
-    return Composed(*_core.compose(*views, unseen, background, small, scale, SURE, get_threads(), level))
+    return Composed(
+        *_core.compose(*views, unseen, background, small, scale, SURE, get_threads(), level)
+    )
 
 
-def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, scale: int, views: int) -> Map:
+def refined(
+    refiner: Refiner, picture: Composed, depth: Map | None, small: Map, scale: int, views: int
+) -> Map:
     """Refine the picture, (H, W, 3), in [0, 1]: `evidence` and `Refiner.forward` tile by tile.
 
     Args:
@@ -169,19 +204,37 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     """
     from ggvs_eval.kernels import _core
 
-    depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
+    depth = (
+        np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
+    )
     layers = _conditioned(packed_once(refiner, None, lambda: _layers(refiner)), refiner, picture)
     evidence = picture.picture, picture.spread, picture.coverage, depth
-    return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    return _core.refine(
+        *evidence,
+        small,
+        scale,
+        views + BEYOND_VIEWS,
+        layers,
+        get_threads(),
+        SIMD_LEVELS.index(get_simd_level()),
+    )
 
 
-def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: Composed) -> list[tuple[Map, Map, int]]:
-    """Return the layers as the statistics of a picture change them: shifted biases, scaled inputs of the last one.
+def _conditioned(
+    layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: Composed
+) -> list[tuple[Map, Map, int]]:
+    """Return the layers as the statistics of a picture change them: shifted biases, scaled inputs
+    of the last one.
 
-    Weights of half precision times statistics of few bits are exact in doubles, sums too: equal bits on every processor.
+    Weights of half precision times statistics of few bits are exact in doubles, sums too: equal
+    bits on every processor.
     """
-    weights, bias = (parameter_map(refiner.condition, name).astype(np.float64) for name in ("weight", "bias"))
-    *shifts, gain = np.split(((weights * statistics_of(picture)).sum(axis=1) + bias).astype(np.float32), 3)
+    weights, bias = (
+        parameter_map(refiner.condition, name).astype(np.float64) for name in ("weight", "bias")
+    )
+    *shifts, gain = np.split(
+        ((weights * statistics_of(picture)).sum(axis=1) + bias).astype(np.float32), 3
+    )
     shifted = [
         (filters, bias + np.pad(shift, (0, len(bias) - len(shift))), count)
         for (filters, bias, count), shift in zip(layers[:-1], shifts, strict=True)
@@ -191,7 +244,8 @@ def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: 
 
 
 def statistics_of(picture: Composed) -> NDArray[np.float64]:
-    """`picture_statistics` by numpy, (4,), with equal bits: torch's threads, once woken, would spin next to those of the kernels.
+    """`picture_statistics` by numpy, (4,), with equal bits: torch's threads, once woken, would spin
+    next to those of the kernels.
 
     Args:
         picture: what the network's outputs compose.
@@ -200,15 +254,23 @@ def statistics_of(picture: Composed) -> NDArray[np.float64]:
         lambda: _log_means(np.clip(np.float32(COLOUR_GAIN) * picture.spread[::ROW_STEP_PX], -1, 1)),
         lambda: _log_means(_detail(picture.picture)),
     )
-    return np.round(STATISTICS_GAIN * (np.array([*spread, *detail]) - TYPICAL) * STATISTICS_GRID) / STATISTICS_GRID
+    return (
+        np.round(STATISTICS_GAIN * (np.array([*spread, *detail]) - TYPICAL) * STATISTICS_GRID)
+        / STATISTICS_GRID
+    )
 
 
 def _detail(picture: Map) -> Map:
-    """Return the absolute second differences of the mean colour, of every eighth row; 0 in a picture that has none."""
+    """Return the absolute second differences of the mean colour, of every eighth row.
+
+    0 in a picture that has none.
+    """
     parts = slice(1, -1, ROW_STEP_PX), slice(0, -2, ROW_STEP_PX), slice(2, None, ROW_STEP_PX)
     red, green, blue = picture
     rows, above, below = ((red[part] + green[part] + blue[part]) / np.float32(3) for part in parts)
-    detail = np.abs(rows - (above + below) / 2)[:, 1:-1] + np.abs(rows[:, 1:-1] - (rows[:, :-2] + rows[:, 2:]) / 2)
+    detail = np.abs(rows - (above + below) / 2)[:, 1:-1] + np.abs(
+        rows[:, 1:-1] - (rows[:, :-2] + rows[:, 2:]) / 2
+    )
     return detail if detail.size else np.zeros(1, np.float32)
 
 
@@ -219,18 +281,29 @@ def _log_means(values: Map) -> list[float]:
 
 
 def _layers(refiner: Refiner) -> list[tuple[Map, Map, int]]:
-    """Packed filters, bias and number of outputs of each layer; of the last one weights (inputs, outputs filled up)."""
+    """Packed filters, bias and number of outputs of each layer.
+
+    Of the last one weights (inputs, outputs filled up).
+    """
     from ggvs_eval.kernels import _core
 
     looks = [(parameter_map(look, "weight"), parameter_map(look, "bias")) for look in refiner.looks]
-    weights, bias = parameter_map(refiner.taps, "weight")[:, :, 0, 0], parameter_map(refiner.taps, "bias")
+    weights, bias = (
+        parameter_map(refiner.taps, "weight")[:, :, 0, 0],
+        parameter_map(refiner.taps, "bias"),
+    )
     missing = -len(bias) % OUTPUT_MULTIPLE
-    taps = np.ascontiguousarray(np.pad(weights.T, [(0, 0), (0, missing)])), np.pad(bias, (0, missing)), len(bias)
+    taps = (
+        np.ascontiguousarray(np.pad(weights.T, [(0, 0), (0, missing)])),
+        np.pad(bias, (0, missing)),
+        len(bias),
+    )
     return [*((*_core.pack_filters(*look), len(look[1])) for look in looks), taps]
 
 
 def view_shares(small: Map, reduced: BlendMaps) -> Map:
-    """Return the share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
+    """Return the share of each view in the composed picture (Eqs. 4-5) at the network's own size,
+    (K, h, w).
 
     Args:
         small: `small_outputs` of the network, (K + 4 + F, h, w).
@@ -240,13 +313,16 @@ def view_shares(small: Map, reduced: BlendMaps) -> Map:
     weights = small[:views] * reduced.coverage
     unseen = np.clip(reduced.unseen(), SURE, 1 - SURE)
     background = 1 / (1 + np.exp(-small[views]) * (1 - unseen) / unseen)
-    return np.asarray(weights * ((1 - background) / np.maximum(weights.sum(axis=0), NO_WEIGHT)), np.float32)
+    return np.asarray(
+        weights * ((1 - background) / np.maximum(weights.sum(axis=0), NO_WEIGHT)), np.float32
+    )
 
 
 def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Blended:
     """Blend the views by a network on a device, as `blend_by` does except for rounding.
 
-    What the network looks at, and the background, come from the compiled kernels on the CPU: they pass over the views once.
+    What the network looks at, and the background, come from the compiled kernels on the CPU: they
+    pass over the views once.
 
     Args:
         network: is on the device.
@@ -264,11 +340,20 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
         background = push_pull(
             summary.picture, summary.covered, out=summary.picture
         )  # while a GPU works on what it was asked for
-        start = _tensors({"weights": maps.weights, "unseen": summary.unseen, "background": np.moveaxis(background, 2, 0)})
+        start = _tensors(
+            {
+                "weights": maps.weights,
+                "unseen": summary.unseen,
+                "background": np.moveaxis(background, 2, 0),
+            }
+        )
         views = _tensors({"coverage": maps.coverage, "fused_depth": maps.fused_depth})
-        views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)  # (1, K, 3, H, W)
+        # (1, K, 3, H, W)
+        views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)
         outputs = read_outputs(raw, start, config.views)
-        picture = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
+        picture = network.refine(
+            compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views
+        )
         image = picture[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy(force=True)
         small = small_outputs(raw, start["weights"], config.views)[0].contiguous().numpy(force=True)
     return Blended(image, view_shares(small, summary.small))
@@ -276,12 +361,15 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
 
 def _tensors(arrays: Mapping[str, Map]) -> dict[str, Tensor]:
     """Arrays as batches of one."""
-    return {name: torch.as_tensor(np.ascontiguousarray(array))[None] for name, array in arrays.items()}
+    return {
+        name: torch.as_tensor(np.ascontiguousarray(array))[None] for name, array in arrays.items()
+    }
 
 
 @dataclass(frozen=True)
 class NetworkBlender:
-    """Blends views by a network that sees them, their coverage and the fused geometry (Sec. 3.3, Eqs. 4-5).
+    """Blends views by a network that sees them, their coverage and the fused geometry (Sec. 3.3,
+    Eqs. 4-5).
 
     Attributes:
         weights: file of the weights; those that ship unless given.
@@ -306,12 +394,16 @@ class NetworkBlender:
             RenderError: more source views than the network is made for.
         """
         inputs = without_blind(inputs)
-        path, device = self.weights or shipped_blend_weights(self.guidance), compute_device(self.device)
+        path, device = (
+            self.weights or shipped_blend_weights(self.guidance),
+            compute_device(self.device),
+        )
         network, views = load_blend_network(path, device), len(inputs.instant.sources)
         if views > network.config.views:
             raise RenderError(
-                f"{path.name}: a blending network for at most {network.config.views} source views, got {views}; "
-                "change the protocol's number of sources, or train one for more (ggvs-eval train blend --views)"
+                f"{path.name}: a blending network for at most {network.config.views} source views, "
+                f"got {views}; change the protocol's number of sources, or train one for more "
+                "(ggvs-eval train blend --views)"
             )
         guidance = network.config.guidance
         if device.type != "cpu":
@@ -322,8 +414,12 @@ class NetworkBlender:
 
 
 def without_blind(inputs: BlendingInputs) -> BlendingInputs:
-    """The inputs without the views that cover no pixel of the target, unless none does: what is blind takes no view's place."""
-    places = [k for k, splat in enumerate(inputs.splats) if splat.alpha.max(initial=0) >= COVERED_ALPHA]
+    """The inputs without the views that cover no pixel of the target, unless none does: what is
+    blind takes no view's place.
+    """
+    places = [
+        k for k, splat in enumerate(inputs.splats) if splat.alpha.max(initial=0) >= COVERED_ALPHA
+    ]
     if not 0 < len(places) < len(inputs.splats):
         return inputs
     instant = replace(inputs.instant, sources=tuple(inputs.instant.sources[k] for k in places))
@@ -333,7 +429,8 @@ def without_blind(inputs: BlendingInputs) -> BlendingInputs:
 def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = None) -> Blended:
     """Blend the views by a network; equal bits regardless of the number of threads.
 
-    Compiled kernels compute it, `unet_outputs` at the network's own size and those of this module at full size.
+    Compiled kernels compute it, `unet_outputs` at the network's own size and those of this module
+    at full size.
 
     Args:
         network: its weights.
@@ -350,30 +447,45 @@ def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = 
     if network.refiner is None:
         return Blended(picture.image(), weights)
     depth = maps.fused_depth if config.guidance in GUIDED else None
-    return Blended(refined(network.refiner, picture, depth, small, config.scale, len(maps.sources)), weights)
+    return Blended(
+        refined(network.refiner, picture, depth, small, config.scale, len(maps.sources)), weights
+    )
 
 
 def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]:
-    """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and `view_shares` by them, (K, h, w)."""
+    """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and `view_shares` by them,
+    (K, h, w).
+    """
     from ggvs_eval.kernels import _core
 
     config = network.config
     views = len(reduced.sources)
     channels = network_channels(reduced, config.guidance, views)
-    raw = unet_outputs(network.unet, channels, present_channels(views, config.views, config.guidance))
+    raw = unet_outputs(
+        network.unet, channels, present_channels(views, config.views, config.guidance)
+    )
     logarithms = np.log(np.maximum(reduced.weights, np.float32(NO_WEIGHT)))
-    coverage, visibilities = (np.ascontiguousarray(array, np.float32) for array in (reduced.coverage, reduced.visibilities))
+    coverage, visibilities = (
+        np.ascontiguousarray(array, np.float32)
+        for array in (reduced.coverage, reduced.visibilities)
+    )
     level = SIMD_LEVELS.index(get_simd_level())
-    return _core.read_outputs(raw, logarithms, coverage, visibilities, config.views, SURE, get_threads(), level)
+    return _core.read_outputs(
+        raw, logarithms, coverage, visibilities, config.views, SURE, get_threads(), level
+    )
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:
-    """Return what a network starts from: geometric weights, and the blended views with holes filled, see `read_outputs`."""
+    """Return what a network starts from: geometric weights, and the blended views with holes
+    filled, see `read_outputs`.
+    """
     background = np.ascontiguousarray(np.moveaxis(filled_picture(maps), 2, 0))
     return {"weights": maps.weights, "unseen": maps.unseen(), "background": background}
 
 
 def filled_picture(maps: BlendMaps) -> Map:
-    """Return the views blended by coverage and their weights, what none covers filled from its surroundings, (H, W, 3)."""
+    """Return the views blended by coverage and their weights, what none covers filled from its
+    surroundings, (H, W, 3).
+    """
     blended = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
     return push_pull(blended, np.max(maps.alphas, axis=0) > COVERED_ALPHA)

@@ -1,6 +1,8 @@
-"""Input channels of the blending network: colours, depths and angles of every view, in the target view.
+"""Input channels of the blending network: colours, depths and angles of every view, in the target
+view.
 
-They are made of maps: the source views in the target view, registered by the fused depth or splatted.
+They are made of maps: the source views in the target view, registered by the fused depth or
+splatted.
 """
 
 from collections.abc import Sequence
@@ -23,7 +25,8 @@ from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
-FAINT = np.float32(0.02)  # coverage of a fully splatted pixel whose view does not see the fused surface
+# coverage of a fully splatted pixel whose view does not see the fused surface
+FAINT = np.float32(0.02)
 GUIDED = ("registered", "channels")  # by the fused depth
 FUSED_GROUP = 3  # index of the only group that is not of the views
 
@@ -37,7 +40,8 @@ class BlendMaps:
         sources: cameras of the views, nearest first.
         colours: I_k, (K, H, W, 3), float32 in [0, 1].
         coverage: how far a view shows anything to blend, the factor of its weight, (K, H, W).
-        visibilities: how far it shows what the target sees; where none does the background takes over, (K, H, W).
+        visibilities: how far it shows what the target sees; where none does the background takes
+            over, (K, H, W).
         alphas: coverage of the splats, K maps (H, W), in [0, 1).
         depths: splatted depth, K maps (H, W), world units, 0 where unknown.
         fused_depth: of the ray march, (H, W), world units, 0 where unknown.
@@ -49,13 +53,15 @@ class BlendMaps:
     colours: Map
     coverage: Map
     visibilities: Map
-    alphas: tuple[Map, ...]  # apart as they are splatted: side by side they would be one more copy of all views
+    # apart as they are splatted: side by side they would be one more copy of all views
+    alphas: tuple[Map, ...]
     depths: tuple[Map, ...]
     fused_depth: Map
     shares: tuple[float, ...] | None = None
 
     def reduced(self, scale: int) -> "BlendMaps":
-        """Return the maps of a camera with N times fewer pixels: averages, except depths: one pixel of each block.
+        """Return the maps of a camera with N times fewer pixels: averages, except depths: one pixel
+        of each block.
 
         Sizes that `scale` does not divide are continued by their last row and column.
         """
@@ -64,16 +70,31 @@ class BlendMaps:
         stacks = self.colours, self.coverage, self.visibilities, np.stack(self.alphas)
         averaged = [_averaged(maps, scale) for maps in stacks]
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
-        picked = np.stack([depth[top::scale, left::scale] for depth in (*self.depths, self.fused_depth)])
+        picked = np.stack(
+            [depth[top::scale, left::scale] for depth in (*self.depths, self.fused_depth)]
+        )
         return self.with_means(scale, averaged, _continued(picked, *averaged[-1].shape[1:]))
 
     def with_means(self, scale: int, averaged: Sequence[Map], picked: Map) -> "BlendMaps":
-        """`reduced`, the averages of colours, coverage, seen and alphas and the picked depths, fused ones last, being known."""
+        """`reduced`, the averages of colours, coverage, seen and alphas and the picked depths,
+        fused ones last, being known.
+        """
         height, width = picked.shape[1:]
-        target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
+        target = replace(self.target, width=width * scale, height=height * scale).resized(
+            width, height
+        )
         colours, coverage, visibilities, alphas = averaged
         splatted = tuple(alphas), tuple(picked[:-1])
-        return BlendMaps(target, self.sources, colours, coverage, visibilities, *splatted, picked[-1], self.shares)
+        return BlendMaps(
+            target,
+            self.sources,
+            colours,
+            coverage,
+            visibilities,
+            *splatted,
+            picked[-1],
+            self.shares,
+        )
 
     @property
     def weights(self) -> Map:
@@ -86,15 +107,19 @@ class BlendMaps:
 
 
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
-    """Return the maps of one instant, views ordered by the distance of their cameras from the target, ties by name.
+    """Return the maps of one instant, views ordered by the distance of their cameras from the
+    target, ties by name.
 
     Reading:
-        The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
-        image is sampled at the fused surface instead wherever its view sees that, and splats replace it elsewhere.
+        The paper blends the splats. Splats are blurred by the Gaussians' footprint; with
+        ``registered`` guidance each source image is sampled at the fused surface instead wherever
+        its view sees that, and splats replace it elsewhere.
     """
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
     if guidance == "registered":
-        stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT), inputs.forgiven_px)
+        stacks = register_views(
+            target, inputs.depth, sources, splats, inputs.tau, float(FAINT), inputs.forgiven_px
+        )
     else:
         coverage = np.stack([view.alpha for view in splats])
         stacks = np.stack([view.features[..., :3] for view in splats]), coverage, coverage
@@ -108,9 +133,14 @@ def in_order(inputs: BlendingInputs) -> tuple[list[SourceView], list[Splat]]:
 
 
 def maps_of(inputs: BlendingInputs, stacks: tuple[Map, Map, Map]) -> BlendMaps:
-    """Return the maps of one instant, colours, coverage and visibilities of the views in their order being known."""
+    """Return the maps of one instant, colours, coverage and visibilities of the views in their
+    order being known.
+    """
     sources, splats = in_order(inputs)
-    cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
+    cameras, shares = (
+        tuple(source.camera for source in sources),
+        tuple(source.share for source in sources),
+    )
     alphas, depths = tuple(view.alpha for view in splats), tuple(view.depth for view in splats)
     return BlendMaps(inputs.instant.target, cameras, *stacks, alphas, depths, inputs.depth, shares)
 
@@ -119,12 +149,17 @@ def nearest_first(inputs: BlendingInputs) -> list[int]:
     """Return the numbers of the source views, nearest camera first."""
     cameras, target = [source.camera for source in inputs.instant.sources], inputs.instant.target
     if len(cameras) != len(inputs.splats):
-        raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
+        raise RenderError(
+            f"blending network: wanted one splat per source view, got {len(inputs.splats)} for "
+            f"{len(cameras)}"
+        )
     return sorted(range(len(cameras)), key=lambda k: nearness(cameras[k], target))
 
 
 def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
-    """Order of views: the distance of their cameras from the target in world units, ties by name."""
+    """Order of views: the distance of their cameras from the target in world units, ties by
+    name.
+    """
     return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 
@@ -138,12 +173,16 @@ def _averaged(maps: Map, scale: int) -> Map:
                 part = _whole_blocks(view[rows, columns], scale)
                 cells = mean[rows.start // scale :, columns.start // scale :]
                 size = part.shape[1] // scale, part.shape[0] // scale
-                cells[: size[1], : size[0]] = cv2.resize(part, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], *channels)
+                cells[: size[1], : size[0]] = cv2.resize(
+                    part, size, interpolation=cv2.INTER_AREA
+                ).reshape(*size[::-1], *channels)
     return means
 
 
 def _parts(size: int, scale: int) -> list[slice]:
-    """Return the whole blocks of a side and what is left of it: only that needs to be continued, which copies."""
+    """Return the whole blocks of a side and what is left of it: only that needs to be continued,
+    which copies.
+    """
     end = size // scale * scale
     return [part for part in (slice(0, end), slice(end, size)) if part.start < part.stop]
 
@@ -153,24 +192,37 @@ def _whole_blocks(image: Map, scale: int) -> Map:
     below, right = -image.shape[0] % scale, -image.shape[1] % scale
     if not (below or right):
         return image
-    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
+    return np.asarray(
+        cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32
+    )
 
 
 def _continued(maps: Map, height: int, width: int) -> Map:
     """Return the maps (..., H, W) with their last row and column repeated up to a size."""
-    missing = [(0, 0)] * (maps.ndim - 2) + [(0, height - maps.shape[-2]), (0, width - maps.shape[-1])]
+    missing = [(0, 0)] * (maps.ndim - 2) + [
+        (0, height - maps.shape[-2]),
+        (0, width - maps.shape[-1]),
+    ]
     return np.pad(maps, missing, mode="edge")
 
 
 def channel_count(views: int, guidance: Guidance) -> int:
     """Return the number of channels of `input_channels`: as printed 9 K + 1."""
-    return {"registered": 10 * views + 1, "channels": 9 * views + 1, "none": 8 * views, "naive": 6 * views}[guidance]
+    return {
+        "registered": 10 * views + 1,
+        "channels": 9 * views + 1,
+        "none": 8 * views,
+        "naive": 6 * views,
+    }[guidance]
 
 
 def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.intp]:
-    """Return the number the channels of `count` views among those of a network made for `views`, whose others are 0."""
+    """Return the number the channels of `count` views among those of a network made for `views`,
+    whose others are 0.
+    """
     guided = guidance in GUIDED
-    of_a_view = [3] + [1] * (channel_count(1, guidance) - guided - 3)  # colours, then one of each other group
+    # colours, then one of each other group
+    of_a_view = [3] + [1] * (channel_count(1, guidance) - guided - 3)
     numbers, first = [], 0
     for group, channels in enumerate(of_a_view):
         if guided and group == FUSED_GROUP:
@@ -182,53 +234,68 @@ def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.i
 
 
 def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
-    """Return the depth of the surface that angles are measured at, (H, W), world units, 0 where unknown.
+    """Return the depth of the surface that angles are measured at, (H, W), world units, 0 where
+    unknown.
 
     Reading:
-        The paper's ablation takes the fused depth away; angles are then measured at the splatted depth of the nearest view that
-        covers the pixel.
+        The paper's ablation takes the fused depth away; angles are then measured at the splatted
+        depth of the nearest view that covers the pixel.
     """
     if guidance in GUIDED:
         return maps.fused_depth
     covers = np.stack(maps.alphas) >= COVERED_ALPHA  # (K, H, W)
     first = np.argmax(covers, axis=0)[None]
-    return np.where(covers.any(axis=0), np.take_along_axis(np.stack(maps.depths), first, axis=0)[0], np.float32(0))
+    return np.where(
+        covers.any(axis=0),
+        np.take_along_axis(np.stack(maps.depths), first, axis=0)[0],
+        np.float32(0),
+    )
 
 
 def reference_depth(depth: Map, camera: Camera) -> float:
-    """Return the length that depths and distances are measured in: the median of what is known, or the far plane."""
+    """Return the length that depths and distances are measured in: the median of what is known, or
+    the far plane.
+    """
     depths = depth[depth > 0]
     return float(np.median(depths)) if depths.size else camera.far
 
 
-def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None, unit: float | None = None) -> Map:
+def input_channels(
+    maps: BlendMaps, guidance: Guidance, views: int | None = None, unit: float | None = None
+) -> Map:
     """Return the channels of the network's input.
 
     Args:
         maps: the views, K of them.
-        guidance: what the network sees of the fused depth. ``channels``: groups 1-8, as printed. ``registered``: group 9 too.
-            ``none``: all except groups 4 and 5 (ablation 'No TSDF Guidance'). ``naive``: groups 1, 3, 7 and 8, which need no
-            depth.
-        views: how many views the network is made for; channels of those that are not there are 0. K unless given.
-        unit: what depths and distances are measured in, world units; `reference_depth` of the guide's depth unless given. A crop
-            wants that of the whole view.
+        guidance: what the network sees of the fused depth. ``channels``: groups 1-8, as printed.
+            ``registered``: group 9 too. ``none``: all except groups 4 and 5 (ablation 'No TSDF
+            Guidance'). ``naive``: groups 1, 3, 7 and 8, which need no depth.
+        views: how many views the network is made for; channels of those that are not there are 0. K
+            unless given.
+        unit: what depths and distances are measured in, world units; `reference_depth` of the
+            guide's depth unless given. A crop wants that of the whole view.
 
     Returns:
-        (`channel_count`, H, W), float32, in this order: 1. colours, 3 K; 2. splatted inverse depths, K; 3. coverages of the
-        splats, K; 4. inverse fused depth, 1; 5. cosine between the surface's normal and the direction to each camera, K;
-        6. cosine between the directions to the target camera and to each camera, K; 7. distance of each camera from the target
-        camera, K; 8. cosine between their axes, K; 9. whether the view sees the fused surface, K.
+        (`channel_count`, H, W), float32, in this order: 1. colours, 3 K; 2. splatted inverse
+        depths, K; 3. coverages of the splats, K; 4. inverse fused depth, 1; 5. cosine between the
+        surface's normal and the direction to each camera, K; 6. cosine between the directions to
+        the target camera and to each camera, K; 7. distance of each camera from the target camera,
+        K; 8. cosine between their axes, K; 9. whether the view sees the fused surface, K.
 
     Reading:
-        The paper names the first eight groups. Depth enters as unit / depth, distance as distance / unit, so that nothing depends
-        on the scale of the world. Directions go from the surface to the cameras; where the surface is unknown, cosines to its
-        normal are 0 and the point is on the far plane. Zeros for absent views let one network serve every K up to its own.
+        The paper names the first eight groups. Depth enters as unit / depth, distance as distance /
+        unit, so that nothing depends on the scale of the world. Directions go from the surface to
+        the cameras; where the surface is unknown, cosines to its normal are 0 and the point is on
+        the far plane. Zeros for absent views let one network serve every K up to its own.
     """
     guide = guide_depth(maps, guidance)
     unit = unit or reference_depth(guide, maps.target)
     surface, size = guide > 0, guide.shape
-    per = np.exp2(-np.floor(np.log2(np.float32(unit))))  # a power of two, which rounds nothing: lengths are of order 1
-    points = per * surface_points(maps.target, np.where(surface, guide, np.float32(maps.target.far)))
+    # a power of two, which rounds nothing: lengths are of order 1
+    per = np.exp2(-np.floor(np.log2(np.float32(unit))))
+    points = per * surface_points(
+        maps.target, np.where(surface, guide, np.float32(maps.target.far))
+    )
     to_sources = [_unit(per * _centre(source, maps.target) - points) for source in maps.sources]
     guided, count, flat = guidance in GUIDED, len(maps.sources), guidance == "naive"
     of_views = [
@@ -250,7 +317,11 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
 def _widened(group: Map, count: int, views: int) -> Map:
     """Return a group of `count` views with zeros for those that are not there, up to `views`."""
     absent = (views - count) * (len(group) // count)
-    return np.concatenate([group, np.zeros((absent, *group.shape[1:]), np.float32)]) if absent else group
+    return (
+        np.concatenate([group, np.zeros((absent, *group.shape[1:]), np.float32)])
+        if absent
+        else group
+    )
 
 
 def surface_points(camera: Camera, depth: Map) -> Map:
@@ -260,14 +331,17 @@ def surface_points(camera: Camera, depth: Map) -> Map:
 
 
 def ray_slopes(camera: Camera) -> tuple[Map, Map]:
-    """Return the slopes x / z of the rays through each column, (W,), and y / z of those through each row, (H,), float32."""
+    """Return the slopes x / z of the rays through each column, (W,), and y / z of those through
+    each row, (H,), float32.
+    """
     across = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     down = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     return across.astype(np.float32), down.astype(np.float32)
 
 
 def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
-    """Return the unit normals of a depth map, towards the camera, from central differences (one-sided at the border).
+    """Return the unit normals of a depth map, towards the camera, from central differences
+    (one-sided at the border).
 
     Args:
         points: in the camera's frame, (3, H, W).
@@ -281,7 +355,9 @@ def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
     along_column = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
     normals = _unit(np.cross(along_column, along_row, axis=0))
     around = np.pad(has_depth, 1, mode="edge")
-    is_smooth = has_depth & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
+    is_smooth = (
+        has_depth & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
+    )
     facing = -np.sign(_dot(normals, points))
     return normals * (facing * is_smooth)
 
@@ -319,7 +395,9 @@ def _unit(vectors: Map) -> Map:
 
 
 def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
-    """Return the channels of the network's input, (channels, H, W); by the kernel where the fused depth guides.
+    """Return the channels of the network's input, (channels, H, W).
+
+    By the kernel where the fused depth guides.
 
     Args:
         maps: the views, K of them, of the network's own size.
@@ -333,11 +411,21 @@ def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
     target, unit = maps.target, reference_depth(maps.fused_depth, maps.target)
     stacks = (maps.colours, maps.depths, maps.alphas)
     colours, depths, alphas = (np.ascontiguousarray(stack, np.float32) for stack in stacks)
-    visibilities = np.ascontiguousarray(maps.visibilities, np.float32) if guidance == "registered" else None
+    visibilities = (
+        np.ascontiguousarray(maps.visibilities, np.float32) if guidance == "registered" else None
+    )
     fused = np.ascontiguousarray(maps.fused_depth, np.float32)
     centres = np.stack([rigid_between(source, target)[:3, 3] for source in maps.sources])
-    distances = [float(np.linalg.norm(source.centre - target.centre)) / unit for source in maps.sources]
+    distances = [
+        float(np.linalg.norm(source.centre - target.centre)) / unit for source in maps.sources
+    ]
     axes = [float(source.axis @ target.axis) for source in maps.sources]
-    cameras = centres.astype(np.float32), np.array(distances, np.float32), np.array(axes, np.float32)
+    cameras = (
+        centres.astype(np.float32),
+        np.array(distances, np.float32),
+        np.array(axes, np.float32),
+    )
     settings = (target.far, unit, views, get_threads())
-    return _core.network_inputs(colours, depths, alphas, visibilities, fused, ray_slopes(target), cameras, *settings)
+    return _core.network_inputs(
+        colours, depths, alphas, visibilities, fused, ray_slopes(target), cameras, *settings
+    )

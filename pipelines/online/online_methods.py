@@ -1,4 +1,6 @@
-"""The online method as labels name it: with trained or with geometric weights, and other options."""
+"""The online method as labels name it: with trained or with geometric weights, and other
+options.
+"""
 
 from typing import Any
 
@@ -9,9 +11,13 @@ from ggvs_eval.pipelines.online.network_inputs import Guidance
 from ggvs_eval.plugins import DEVICE_PARTS
 
 
-def geometric(options: OnlineOptions | None = None, background: bool = True, **changed: Any) -> Method:
+def geometric(
+    options: OnlineOptions | None = None, background: bool = True, **changed: Any
+) -> Method:
     """With geometric weights in place of the network, and `OnlineOptions` or some of them."""
-    return GeometryGuided(options or OnlineOptions(**changed), GeometricBlender(background=background))
+    return GeometryGuided(
+        options or OnlineOptions(**changed), GeometricBlender(background=background)
+    )
 
 
 def learned(

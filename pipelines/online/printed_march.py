@@ -1,7 +1,9 @@
-"""The ray march with the fused field as the paper prints it, or read otherwise: slow, to measure what a reading is worth.
+"""The ray march with the fused field as the paper prints it, or read otherwise: slow, to measure
+what a reading is worth.
 
-`ggvs_eval.geometry.tsdf.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading`
-alone. In this interpretation it is the definition that tests compare the fast one with.
+`ggvs_eval.geometry.tsdf.ray_march` is the method's own; this one is numpy, all rays together, and
+differs by `FieldReading` alone. In this interpretation it is the definition that tests compare the
+fast one with.
 """
 
 from collections.abc import Sequence
@@ -24,8 +26,10 @@ class FieldReading:
     """Reading of Eqs. 9-10.
 
     Attributes:
-        sign: the signed distance is D - z, positive in ``front`` of the surface; or z - D, as ``printed``.
-        normalised: whether the sum over the views is divided by the sum of their weights; as printed it is not.
+        sign: the signed distance is D - z, positive in ``front`` of the surface; or z - D, as
+            ``printed``.
+        normalised: whether the sum over the views is divided by the sum of their weights; as
+            printed it is not.
     """
 
     sign: Literal["front", "printed"] = "front"
@@ -66,7 +70,8 @@ def printed_march(
     min_step: float = 0.1,
     reading: FieldReading,
 ) -> RayMarch:
-    """Find the first surface along each ray, see `ggvs_eval.geometry.tsdf.ray_march` for the arguments.
+    """Find the first surface along each ray, see `ggvs_eval.geometry.tsdf.ray_march` for the
+    arguments.
 
     Args:
         cameras: the K source cameras.
@@ -80,20 +85,34 @@ def printed_march(
     views = [_view(target, *view) for view in zip(cameras, depths, weights, strict=True)]
     if previous is not None:
         gain = previous.gain.reshape(-1).astype(np.float64)
-        views.append(_view(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
+        views.append(
+            _view(
+                target,
+                previous.camera,
+                previous.depth,
+                previous.accumulated_weight,
+                gain,
+                previous.limit,
+            )
+        )
     front, behind, hit = _crossings(views, target, tau, min_step, reading)
     share = front[1] / (front[1] - behind[1])
     depth, weight = (np.zeros(target.height * target.width, np.float32) for _ in range(2))
     depth[hit], _, weight[hit] = front + share * (behind - front)
-    return RayMarch(depth.reshape(target.height, target.width), weight.reshape(target.height, target.width))
+    return RayMarch(
+        depth.reshape(target.height, target.width), weight.reshape(target.height, target.width)
+    )
 
 
 def _crossings(
     cameras: Sequence[_View], target: Camera, tau: float, min_step: float, reading: FieldReading
 ) -> tuple[Values, Values, Rays]:
-    """Depth, distance and weight before and after the first change from positive to not positive, and the rays that have one."""
+    """Depth, distance and weight before and after the first change from positive to not positive,
+    and the rays that have one.
+    """
     active = np.arange(target.height * target.width)
-    z, before = np.full(active.size, target.near), np.full((3, active.size), np.nan)  # the last sample where known and positive
+    # the last sample where known and positive
+    z, before = np.full(active.size, target.near), np.full((3, active.size), np.nan)
     crossings: list[tuple[Values, Values, Rays]] = []
     end = march_end(target, tau, min_step, [camera.depth for camera in cameras])
     while active.size:
@@ -110,17 +129,27 @@ def _crossings(
     return front, behind, hit
 
 
-def _field(cameras: Sequence[_View], rays: Rays, z: Values, tau: float, reading: FieldReading) -> tuple[Values, Values]:
-    """Return the fused distance, in tau, and sum of the weights at one depth of each ray (Eqs. 9-10)."""
+def _field(
+    cameras: Sequence[_View], rays: Rays, z: Values, tau: float, reading: FieldReading
+) -> tuple[Values, Values]:
+    """Return the fused distance, in tau, and sum of the weights at one depth of each ray (Eqs.
+    9-10).
+    """
     total, weighted = np.zeros(rays.size), np.zeros(rays.size)
     for view in cameras:
         distance, weight = _share(view, rays, z, tau, reading)
         total += weight
         weighted += weight * distance
-    return (np.divide(weighted, total, out=np.zeros(rays.size), where=total > 0) if reading.normalised else weighted), total
+    return (
+        np.divide(weighted, total, out=np.zeros(rays.size), where=total > 0)
+        if reading.normalised
+        else weighted
+    ), total
 
 
-def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading) -> tuple[Values, Values]:
+def _share(
+    view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
+) -> tuple[Values, Values]:
     """Return one camera's clamped distance, in tau, and its weight."""
     camera, points = view.camera, view.directions[rays] * z[:, None] + view.start
     ahead = points[:, 2] > 0
@@ -141,7 +170,8 @@ def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
 
 
 def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: float) -> Values:
-    """Return the depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest.
+    """Return the depth at image coordinates: bilinear where the four neighbours are known and
+    close, else the nearest.
 
     At the border the neighbours are the last four pixels.
 
@@ -156,9 +186,14 @@ def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: fl
     """
     height, width = depth.shape
     x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
-    left, top = np.minimum(x.astype(np.int64), max(width - 2, 0)), np.minimum(y.astype(np.int64), max(height - 2, 0))
+    left, top = (
+        np.minimum(x.astype(np.int64), max(width - 2, 0)),
+        np.minimum(y.astype(np.int64), max(height - 2, 0)),
+    )
     right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    corners = np.stack([depth[top, left], depth[top, right], depth[below, left], depth[below, right]]).astype(np.float64)
+    corners = np.stack(
+        [depth[top, left], depth[top, right], depth[below, left], depth[below, right]]
+    ).astype(np.float64)
     across, down = x - left, y - top
     mean = (1 - down) * ((1 - across) * corners[0] + across * corners[1]) + down * (
         (1 - across) * corners[2] + across * corners[3]
@@ -177,5 +212,15 @@ def _view(
 ) -> _View:
     transform, K = rigid_between(target, camera), target.K
     row, column = np.indices((target.height, target.width)).reshape(2, -1) + 0.5
-    rays = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones(row.size)], axis=1)
-    return _View(camera, depth, weight, gain, limit, rays @ transform[:3, :3].T, transform[:3, 3])
+    rays = np.stack(
+        [(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones(row.size)], axis=1
+    )
+    return _View(
+        camera=camera,
+        depth=depth,
+        weight=weight,
+        gain=gain,
+        limit=limit,
+        directions=rays @ transform[:3, :3].T,
+        start=transform[:3, 3],
+    )

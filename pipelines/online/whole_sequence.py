@@ -1,4 +1,6 @@
-"""A reference that is not online: the same method, with depth that was filtered over the whole sequence, future included."""
+"""A reference that is not online: the same method, with depth that was filtered over the whole
+sequence, future included.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -17,15 +19,19 @@ from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOpt
 class WholeSequence:
     """The method of the paper after a pass over the sequence from its end to its beginning.
 
-    `look_ahead` runs the temporal depth filter (Eqs. 1-2) backwards in time; `step` runs the online method forwards on what it
-    gave. The two passes weigh past and future alike: in a still scene with noise that is new at each instant the noise of depth
-    falls to half of its standard deviation, where the forward pass alone leaves two thirds. What this gains over the online
+    `look_ahead` runs the temporal depth filter (Eqs. 1-2) backwards in time; `step` runs the online
+    method forwards on what it gave. The two passes weigh past and future alike: in a still scene
+    with noise that is new at each instant the noise of depth falls to half of its standard
+    deviation, where the forward pass alone leaves two thirds. What this gains over the online
     method is the price of being online.
 
-    Depth of the backward pass is in a temporary folder, of the same size as in the depth store; memory stays bounded.
+    Depth of the backward pass is in a temporary folder, of the same size as in the depth store;
+    memory stays bounded.
     """
 
-    def __init__(self, options: OnlineOptions | None = None, blender: Blender | None = None) -> None:
+    def __init__(
+        self, options: OnlineOptions | None = None, blender: Blender | None = None
+    ) -> None:
         """Start with the constants and the blender of the online method."""
         self._forward = GeometryGuided(options, blender)
         self._folder = TemporaryDirectory(prefix="ggvs-eval-")
@@ -47,9 +53,14 @@ class WholeSequence:
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant; one that was not looked ahead at is synthesised online."""
-        sources = tuple(replace(source, depth=self._depth(instant.index, source)) for source in instant.sources)
+        sources = tuple(
+            replace(source, depth=self._depth(instant.index, source)) for source in instant.sources
+        )
         rendering = self._forward.step(replace(instant, sources=sources))
-        return replace(rendering, seconds={"look ahead": self._seconds.get(instant.index, 0.0)} | rendering.seconds)
+        return replace(
+            rendering,
+            seconds={"look ahead": self._seconds.get(instant.index, 0.0)} | rendering.seconds,
+        )
 
     def _depth(self, index: int, source: SourceView) -> Map:
         file = self._file(index, source)

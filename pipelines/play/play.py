@@ -1,4 +1,6 @@
-"""Play: the view of a camera that moves around between the cameras of a rig, synthesised instant by instant into a video."""
+"""Play: the view of a camera that moves around between the cameras of a rig, synthesised instant by
+instant into a video.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -14,7 +16,13 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.play.playback import Playback
-from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, LEAST_SEEN, SEEN_FROM_DEG, OnlineSynthesizer, seen_share
+from ggvs_eval.pipelines.play.synthesizer import (
+    DEFAULT_METHOD,
+    LEAST_SEEN,
+    SEEN_FROM_DEG,
+    OnlineSynthesizer,
+    seen_share,
+)
 from ggvs_eval.progress import track
 
 FPS_OF_STILLS = 30.0
@@ -22,7 +30,8 @@ FPS_OF_STILLS = 30.0
 
 @dataclass
 class Timing:
-    """Seconds of each stage of each frame: reading, the method's own stages, the whole step, encoding.
+    """Seconds of each stage of each frame: reading, the method's own stages, the whole step,
+    encoding.
 
     Attributes:
         rows: stage -> seconds of each frame.
@@ -38,35 +47,57 @@ class Timing:
         count = sum(share < LEAST_SEEN for share in self.seen_shares)
         where = f"from within {SEEN_FROM_DEG:g} degrees"
         return (
-            f"{count} of {len(self.seen_shares)} frames are outside the cameras' coverage {where}; their borders are unreliable"
+            f"{count} of {len(self.seen_shares)} frames are outside the cameras' coverage {where}; "
+            f"their borders are unreliable"
             if count
             else ""
         )
 
     def milliseconds(self) -> dict[str, tuple[float, float]]:
-        """Return the median and 95th percentile of each stage, without the first frame where there are more."""
+        """Return the median and 95th percentile of each stage, without the first frame where there
+        are more.
+        """
         warm = self.rows[1:] or self.rows
-        return {stage: _percentiles([row[stage] for row in warm if stage in row]) for stage in warm[0]}
+        return {
+            stage: _percentiles([row[stage] for row in warm if stage in row]) for stage in warm[0]
+        }
 
     def table(self) -> str:
-        """Return one line per stage, and the frames per second of the median step and of all that was done per frame."""
+        """Return one line per stage, and the frames per second of the median step and of all that
+        was done per frame.
+        """
         times = self.milliseconds()
         lines = [f"{'ms per frame':14s}{'p50':>9s}{'p95':>9s}"]
         lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in times.items()]
         total = sum(times[stage][0] for stage in ("read", "synthesis", "encode"))
-        rates = f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, {1000 / total:.2f} with reading and encoding"
+        rates = (
+            f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, "
+            f"{1000 / total:.2f} with reading and encoding"
+        )
         return "\n".join([*lines, rates, *filter(None, [self.outside])])
 
 
-def record(playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu") -> Timing:
-    """Synthesise every step of a playback into a video; frames and depth are read one instant at a time.
+def record(
+    playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu"
+) -> Timing:
+    """Synthesise every step of a playback into a video.
+
+    Frames and depth are read one instant at a time.
 
     Args:
         out: MP4 file to write; it appears when it is whole.
     """
     require_writable(out)
     capture, live = playback.capture, playback.live or LIVE_MATCHER
-    synthesizer = OnlineSynthesizer(capture.cameras, playback.k, capture.units_per_metre, method, device, playback.sources, live)
+    synthesizer = OnlineSynthesizer(
+        cameras=capture.cameras,
+        k=playback.k,
+        units_per_metre=capture.units_per_metre,
+        method=method,
+        device=device,
+        sources=playback.sources,
+        depth=live,
+    )
     timing = Timing()
     write_video(out, _views(playback, synthesizer, timing), capture.fps or FPS_OF_STILLS)
     return timing
@@ -79,14 +110,20 @@ def require_writable(out: Path) -> None:
         RenderError: it is no .mp4, a folder, or the system does not permit writing there.
     """
     if out.suffix.lower() != ".mp4" or out.is_dir():
-        raise RenderError(f"{out}: wanted a video file to write, *.mp4, got {'a folder' if out.is_dir() else 'another name'}")
+        raise RenderError(
+            f"{out}: wanted a video file to write, *.mp4, got "
+            f"{'a folder' if out.is_dir() else 'another name'}"
+        )
     probe = out.with_suffix(f".{os.getpid()}.probe")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise RenderError(f"{out}: cannot be written ({error.strerror}); choose a place where files can be written") from error
+        raise RenderError(
+            f"{out}: cannot be written ({error.strerror}); choose a place where files can be "
+            f"written"
+        ) from error
 
 
 def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -> Iterator[Image8]:
@@ -98,7 +135,9 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
         depths = None
         if playback.live is None:
             names = [camera.name for camera in synthesizer.sources(pose)]
-            depths = {name: playback.store.read(playback.depth_keys[name], instant) for name in names}
+            depths = {
+                name: playback.store.read(playback.depth_keys[name], instant) for name in names
+            }
         else:
             names = synthesizer.needed(pose)
         images = {name: playback.capture.frame(name, instant) for name in names}
@@ -108,7 +147,12 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
         yield quantise(rendering.image)
         encoded = perf_counter()
         timing.rows.append(
-            {"read": read - begun, **rendering.seconds, "synthesis": synthesised - read, "encode": encoded - synthesised}
+            {
+                "read": read - begun,
+                **rendering.seconds,
+                "synthesis": synthesised - read,
+                "encode": encoded - synthesised,
+            }
         )
 
 

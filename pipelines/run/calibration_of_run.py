@@ -1,6 +1,8 @@
-"""Calibration of a run: the given cameras, refined ones, or those of the two that render source cameras better.
+"""Calibration of a run: the given cameras, refined ones, or those of the two that render source
+cameras better.
 
-Test cameras take part in refinement, as in every public data set that COLMAP has calibrated, but not in the choice.
+Test cameras take part in refinement, as in every public data set that COLMAP has calibrated, but
+not in the choice.
 """
 
 import sys
@@ -20,7 +22,11 @@ from ggvs_eval.files.atomic import scratch_folder
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.metrics.image.psnr import PSNR
 from ggvs_eval.pipelines.offline.calibration import refine_capture
-from ggvs_eval.pipelines.offline.calibration.refine_capture import epipolar_residual, match_capture, refine_cameras
+from ggvs_eval.pipelines.offline.calibration.refine_capture import (
+    epipolar_residual,
+    match_capture,
+    refine_cameras,
+)
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run, visible_cameras
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
@@ -33,7 +39,9 @@ LONGEST_SIDE_PX = 640  # of the pictures compared
 
 
 def calibrate(request: RunRequest, protocol: Protocol) -> tuple[Capture, Callable[[Workers], Task]]:
-    """Return the capture of a run with its calibrated cameras, the given ones until these are known, and the work of workers."""
+    """Return the capture of a run with its calibrated cameras, the given ones until these are
+    known, and the work of workers.
+    """
     capture, choice = request.capture, protocol.synthesis.calibration
     inputs = {
         "calibration": choice,
@@ -53,14 +61,21 @@ def calibrate(request: RunRequest, protocol: Protocol) -> tuple[Capture, Callabl
     record = read_record(folder)
     refined = [
         replace(camera, K=K, world_to_camera=pose)
-        for camera, (K, pose) in zip(capture.cameras, record["cameras"], strict=False)  # none where the given ones are used
+        # none where the given ones are used
+        for camera, (K, pose) in zip(capture.cameras, record["cameras"], strict=False)
     ]
     calibration = Calibration(**record["calibration"])
-    return replace(capture, cameras=tuple(refined) or capture.cameras, calibration=calibration), task
+    return replace(
+        capture, cameras=tuple(refined) or capture.cameras, calibration=calibration
+    ), task
 
 
-def _calibrate(capture: Capture, protocol: Protocol, workers: Workers, folder: Path) -> Mapping[str, Any]:
-    """Return what is known of the cameras, for the record, and the refined ones where these are used."""
+def _calibrate(
+    capture: Capture, protocol: Protocol, workers: Workers, folder: Path
+) -> Mapping[str, Any]:
+    """Return what is known of the cameras, for the record, and the refined ones where these are
+    used.
+    """
     calibration, cameras = choose_calibration(capture, protocol, workers, folder)
     print(f"{capture.path}: {calibration.describe()}", file=sys.stderr)
     poses = [(camera.K.tolist(), camera.world_to_camera.tolist()) for camera in cameras]
@@ -85,7 +100,9 @@ def choose_calibration(
         return calibration, ()
     try:
         refined, n_points = refine_cameras(capture.path, capture.cameras, pairs)
-        psnr_db = _compare(capture, refined, protocol, workers, folder) if choice == "compare" else ()
+        psnr_db = (
+            _compare(capture, refined, protocol, workers, folder) if choice == "compare" else ()
+        )
     except GgvsError as error:
         if choice == "refined":
             raise
@@ -102,7 +119,11 @@ def choose_calibration(
 
 
 def _compare(
-    capture: Capture, refined: tuple[Camera, ...], protocol: Protocol, workers: Workers, folder: Path
+    capture: Capture,
+    refined: tuple[Camera, ...],
+    protocol: Protocol,
+    workers: Workers,
+    folder: Path,
 ) -> tuple[float, ...]:
     """Return the mean PSNR of source cameras with given and with refined cameras.
 
@@ -116,7 +137,9 @@ def _compare(
         rule,
         views=replace(rule.views, test=rule.views.test[::2]),  # at most five
         frames=Frames(protocol.frames.start, 1),
-        synthesis=replace(rule.synthesis, width=width, height=height, resize_filter="area", calibration=None),
+        synthesis=replace(
+            rule.synthesis, width=width, height=height, resize_filter="area", calibration=None
+        ),
         measurement=Measurement((PSNR.name,), ceilings=False),
         path=CameraPath(0),
     )
@@ -124,6 +147,12 @@ def _compare(
     by_name = {camera.name: camera for camera in refined}
     for cameras in (sources.cameras, tuple(by_name[name] for name in sources.camera_names)):
         with scratch_folder(folder / "compared") as root:
-            request = RunRequest(root, replace(sources, cameras=cameras), small, (METHOD,), DepthRunOptions(FREE_MATCHER))
+            request = RunRequest(
+                root=root,
+                capture=replace(sources, cameras=cameras),
+                protocol=small,
+                labels=(METHOD,),
+                depth=DepthRunOptions(FREE_MATCHER),
+            )
             psnr_db.append(float(measure(plan_run(request), workers).summary()[PSNR.name].iloc[0]))
     return tuple(psnr_db)

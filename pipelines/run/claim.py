@@ -1,4 +1,6 @@
-"""Owner of a run folder: the protocol and the capture that it was made for, and refusal of any other."""
+"""Owner of a run folder: the protocol and the capture that it was made for, and refusal of any
+other.
+"""
 
 import os
 from dataclasses import asdict
@@ -25,34 +27,53 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
         return
     before, digests = run.capture_record()["digests"], _digests(capture)
     if before.keys() != digests.keys():
-        _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ digests.keys()))} on one side only")
+        _refuse(
+            run,
+            f"other cameras: {', '.join(sorted(before.keys() ^ digests.keys()))} on one side only",
+        )
     changed = [name for name in before if before[name] != digests[name]]
     if changed:
-        _refuse(run, f"other frames: those of {', '.join(changed)} differ from those of {capture.path}")
+        _refuse(
+            run, f"other frames: those of {', '.join(changed)} differ from those of {capture.path}"
+        )
 
 
 def require_protocol(run: RunFolder, protocol: Protocol) -> None:
     """Refuse a folder that holds a run of another protocol."""
     if run.protocol_file.is_file() and not (protocol_there := run.protocol()).agrees_with(protocol):
-        _refuse(run, f"another protocol (there and here: {name_differences(protocol_there.values(), protocol.values())})")
+        _refuse(
+            run,
+            "another protocol (there and here: "
+            f"{name_differences(protocol_there.values(), protocol.values())})",
+        )
 
 
 def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
-    """Write protocol and capture into a folder that holds no run yet, or make sure that they are this run's."""
+    """Write protocol and capture into a folder that holds no run yet, or make sure that they are
+    this run's.
+    """
     require_owner(run, protocol, capture)
     if run.protocol_file.is_file() and not protocol.views.folds:
         protocol = run.protocol()  # folds that were stated once stay
     run.root.mkdir(parents=True, exist_ok=True)
-    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
+    codings = {
+        view: coding_of(capture.source(view), protocol.frames.numbers)
+        for view in protocol.views.test
+    }
     coding = {view: video_coding and asdict(video_coding) for view, video_coding in codings.items()}
     are_videos = any(video_of(capture.source(view)) for view in protocol.views.test)
     decoding = {"truth_decoding": EXACT_DECODING} if are_videos else {}
-    write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": coding, **decoding})
+    write_json(
+        run.root / "capture.json",
+        _capture_record(capture, run.root) | {"coding": coding, **decoding},
+    )
     write_text(run.protocol_file, protocol.to_toml())
 
 
 def _refuse(run: RunFolder, difference: str) -> None:
-    raise ProtocolError(f"{run.root}: holds a run of {difference}; choose a new folder (score: --run FOLDER)")
+    raise ProtocolError(
+        f"{run.root}: holds a run of {difference}; choose a new folder (score: --run FOLDER)"
+    )
 
 
 def _digests(capture: Capture) -> dict[str, str]:
@@ -60,7 +81,9 @@ def _digests(capture: Capture) -> dict[str, str]:
 
 
 def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
-    """Describe a capture for its run folder: its path as given, absolute, and relative to the run."""
+    """Describe a capture for its run folder: its path as given, absolute, and relative to
+    the run.
+    """
     place = capture.path.resolve()
     return {
         "path": str(capture.path),

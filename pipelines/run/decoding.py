@@ -6,8 +6,9 @@ a level in each channel (1.0 of red, 1.4 of green, 1.0 of blue in the demo) and 
 which costs a rendering of 32 dB one decibel.
 
 Reading:
-    Renders whose sources were decoded so are not recognised: they inherit the level of darkness, not
-    the coarse colours, and honest renders of cameras with gains of their own are off by 1 to 5 levels.
+    Renders whose sources were decoded so are not recognised: they inherit the level of darkness,
+    not the coarse colours, and honest renders of cameras with gains of their own are off by 1 to 5
+    levels.
 """
 
 from collections.abc import Iterator
@@ -47,8 +48,8 @@ def fast_truth(run: RunFolder) -> dict[str, FrameReader]:
     """Return the captured frames of the test views by FFmpeg's fast conversion.
 
     Returns:
-        View -> frame number -> frame (H, W, 3) uint8 RGB at the size at which the protocol measures;
-        none for views that were not captured as video, or whose capture is gone.
+        View -> frame number -> frame (H, W, 3) uint8 RGB at the size at which the protocol
+        measures; none for views that were not captured as video, or whose capture is gone.
     """
     if "truth_decoding" not in run.capture_record():
         return {}

@@ -1,4 +1,6 @@
-"""Where the depth of a run's source cameras comes from: matched, or from nowhere for methods that want none."""
+"""Where the depth of a run's source cameras comes from: matched, or from nowhere for methods that
+want none.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +26,8 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
 MATCHED = "depth"
-DEPTH: Registry[Any] = Registry("depth", built_in.DEPTH)  # classes that make a `DepthProvider` of a run
+# classes that make a `DepthProvider` of a run
+DEPTH: Registry[Any] = Registry("depth", built_in.DEPTH)
 
 
 class DepthProvider(Door):
@@ -54,7 +57,13 @@ class DepthProvider(Door):
         """Return the instant from which on frames are needed for the depth of one."""
 
     def fill(
-        self, capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, workers: Workers, /
+        self,
+        capture: Capture,
+        jobs: Sequence[DepthJob],
+        frames: Sequence[int],
+        store: DepthStore,
+        workers: Workers,
+        /,
     ) -> None:
         """Write the maps that a store lacks."""
 
@@ -98,7 +107,12 @@ class NearestCameras:
         return frame
 
     def fill(
-        self, capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, _workers: Workers
+        self,
+        capture: Capture,
+        jobs: Sequence[DepthJob],
+        frames: Sequence[int],
+        store: DepthStore,
+        _workers: Workers,
     ) -> None:
         """Write maps that are unknown everywhere."""
         instants_by_job, _ = missing_depth(jobs, frames, store)
@@ -113,7 +127,9 @@ class NearestCameras:
 
     def _unknown_depth(self, camera: Camera) -> DepthJob:
         digests = {camera.name: self.capture.digest(camera.name)}
-        return DepthJob(camera.name, (), spec=describe_depth(camera, (), digests, {"algorithm": "none"}))
+        return DepthJob(
+            camera.name, (), spec=describe_depth(camera, (), digests, {"algorithm": "none"})
+        )
 
 
 def depth_of_run(
@@ -131,7 +147,9 @@ def depth_of_run(
     """
     reason = DEPTH.why_absent(MATCHED)
     if not reason:
-        provider: DepthProvider = DEPTH[MATCHED].of_run(run, options, capture, protocol, device, methods.values())
+        provider: DepthProvider = DEPTH[MATCHED].of_run(
+            run, options, capture, protocol, device, methods.values()
+        )
         return provider
     wanting = [label for label, spec in methods.items() if spec.uses_depth]
     if wanting or options:

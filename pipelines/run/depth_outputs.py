@@ -1,4 +1,6 @@
-"""Outputs of `ggvs-eval prepare` besides the depth store: the depth page, a fused instant, a COLMAP workspace."""
+"""Outputs of `ggvs-eval prepare` besides the depth store: the depth page, a fused instant, a COLMAP
+workspace.
+"""
 
 from pathlib import Path
 
@@ -17,15 +19,24 @@ def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
     frames = prepared.frames
     instants = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
     stored = [StoredDepth(job, instants) for job in prepared.view_jobs]
-    of_views = {job.camera_name for job in prepared.view_jobs}  # cameras of the path alone were prepared at its instant alone
+    # cameras of the path alone were prepared at its instant alone
+    of_views = {job.camera_name for job in prepared.view_jobs}
     alone = [job for job in prepared.path_jobs if job.camera_name not in of_views]
     stored += [StoredDepth(job, (prepared.path_frame,)) for job in alone]
     store = DepthStore(prepared.run.depth)
-    return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, FILLED_CONFIDENCE, workers)
+    return write_depth_page(
+        prepared.run.root / "depth_page",
+        prepared.capture,
+        stored,
+        store,
+        FILLED_CONFIDENCE,
+        workers,
+    )
 
 
 def fuse_prepared(prepared: RunPlan, frame: int | None = None) -> FusedFiles:
-    """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one instant.
+    """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one
+    instant.
 
     Args:
         frame: the instant; the protocol's first by default.
@@ -61,7 +72,9 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None) -
 
 
 def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
-    """Of each camera with depth at an instant the job with most partners, in the order of the capture."""
+    """Of each camera with depth at an instant the job with most partners, in the order of the
+    capture.
+    """
     jobs = {
         *(prepared.view_jobs if frame in prepared.frames else ()),
         *(prepared.path_jobs if frame == prepared.path_frame else ()),
@@ -72,6 +85,7 @@ def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
     if not best:
         frames = prepared.frames
         raise DepthError(
-            f"{prepared.run.root}: wanted depth of frame {frame}, got frames {frames[0]}..{frames[-1]}; choose one of these"
+            f"{prepared.run.root}: wanted depth of frame {frame}, got frames "
+            f"{frames[0]}..{frames[-1]}; choose one of these"
         )
     return [best[name] for name in prepared.capture.camera_names if name in best]

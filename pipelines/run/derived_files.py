@@ -1,4 +1,6 @@
-"""Folders that a run derives from others: frames, masks, path depth, the report; made anew when what they come from changes.
+"""Folders that a run derives from others: frames, masks, path depth, the report.
+
+Made anew when what they come from changes.
 
 Captured frames are decoded, undistorted and resized once: every later step of a run reads these.
 """
@@ -39,7 +41,8 @@ def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest_folder(folder: Path, without: Collection[str] = ()) -> str:
-    """SHA-256 of what a folder holds: records by content, since they are written again as they were; others by size and time.
+    """SHA-256 of what a folder holds: records by content, since they are written again as they
+    were; others by size and time.
 
     Args:
         folder: links in it are not followed.
@@ -50,7 +53,11 @@ def digest_folder(folder: Path, without: Collection[str] = ()) -> str:
         names[:] = sorted(name for name in names if name not in without)
         for file in sorted(Path(place, name) for name in files):
             about = file.stat()
-            content = file.read_bytes() if file.suffix in RECORDS else f"{about.st_size} {about.st_mtime_ns}".encode()
+            content = (
+                file.read_bytes()
+                if file.suffix in RECORDS
+                else f"{about.st_size} {about.st_mtime_ns}".encode()
+            )
             digest.update(f"{file.relative_to(folder)}\0".encode() + content)
     return digest.hexdigest()
 
@@ -76,7 +83,9 @@ class CachedFrames:
 
 
 def cached_capture(capture: Capture, names: Collection[str], root: Path) -> Capture:
-    """Return the capture with some cameras read from where `cache_frames` writes them, whether they are there yet or not."""
+    """Return the capture with some cameras read from where `cache_frames` writes them, whether they
+    are there yet or not.
+    """
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in names else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)
@@ -84,8 +93,11 @@ def cached_capture(capture: Capture, names: Collection[str], root: Path) -> Capt
     return replace(capture, sources=tuple(sources))
 
 
-def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path, workers: Workers) -> Capture:
-    """Write frames of some cameras, at the size of these cameras, that are not there as they were written.
+def cache_frames(
+    capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path, workers: Workers
+) -> Capture:
+    """Write frames of some cameras, at the size of these cameras, that are not there as they were
+    written.
 
     Cameras are decoded side by side, each video once and as a stream.
 
@@ -100,7 +112,9 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
     return cached_capture(capture, numbers, root)
 
 
-def frame_tasks(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> list[FileTask]:
+def frame_tasks(
+    capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path
+) -> list[FileTask]:
     """Return what writes the frames of each camera; arguments as of `cache_frames`."""
     return [
         _pictures(
@@ -116,7 +130,9 @@ def frame_tasks(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Pa
     ]
 
 
-def path_task(images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path) -> FileTask:
+def path_task(
+    images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path
+) -> FileTask:
     """Return what writes the true images along a camera path.
 
     Args:
@@ -166,7 +182,11 @@ def _write_frames(capture: Capture, name: str, folder: Path, files: tuple[str, .
 
 
 def _write_poses(
-    images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path, files: tuple[str, ...]
+    images: ImageFrames,
+    size: tuple[int, int],
+    resize_filter: ResizeFilter,
+    folder: Path,
+    files: tuple[str, ...],
 ) -> None:
     for pose in frame_numbers(files):
         (image,) = images.frames(pose, pose + 1)

@@ -1,4 +1,6 @@
-"""Disocclusion: the part of a test view that no source camera sees, which every method must invent."""
+"""Disocclusion: the part of a test view that no source camera sees, which every method must
+invent.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -31,8 +33,9 @@ def tasks(plan: RunPlan) -> list[FileTask]:
     It is white where no source sees the view.
 
     Reading:
-        The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted
-        forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
+        The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where
+        no source view, splatted forward by its estimated depth (Sec. 3.1), covers it by half;
+        errors of that depth are part of the mask.
     """
     if not any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         return []
@@ -43,7 +46,13 @@ def tasks(plan: RunPlan) -> list[FileTask]:
             folder=plan.run.disoccluded(view),
             inputs=seen_from(sources.target, sources.depth_keys) | made_with,
             files=frame_names(plan.frames),
-            make=partial(_write, plan.capture, sources, DepthStore(plan.run.depth), plan.run.disoccluded(view)),
+            make=partial(
+                _write,
+                plan.capture,
+                sources,
+                DepthStore(plan.run.depth),
+                plan.run.disoccluded(view),
+            ),
             kind="mask",
         )
         for view, sources in plan.plans.items()
@@ -55,7 +64,9 @@ def prepare(plan: RunPlan, workers: Workers) -> None:
     make_files(tasks(plan), workers, "areas without a source camera")
 
 
-def _write(capture: Capture, sources: SourcePlan, store: DepthStore, folder: Path, files: tuple[str, ...]) -> None:
+def _write(
+    capture: Capture, sources: SourcePlan, store: DepthStore, folder: Path, files: tuple[str, ...]
+) -> None:
     near = NEAR_M * capture.units_per_metre
     target = sources.target
     for index in frame_numbers(files):

@@ -1,6 +1,9 @@
-"""The whole evaluation on one page: capture -> prepare -> render -> score -> report. Each step reads a folder and writes one.
+"""The whole evaluation on one page: capture -> prepare -> render -> score -> report.
 
-Stages run for several runs together, sharing progress bar, pool and job log. A single run is a list of one.
+Each step reads a folder and writes one.
+
+Stages run for several runs together, sharing progress bar, pool and job log. A single run is a list
+of one.
 """
 
 import sys
@@ -62,7 +65,19 @@ def evaluate(
     Returns:
         Path of the report's page.
     """
-    measure(plan_run(RunRequest(root, capture, protocol, labels, depth, networks)), workers)
+    measure(
+        plan_run(
+            RunRequest(
+                root=root,
+                capture=capture,
+                protocol=protocol,
+                labels=labels,
+                depth=depth,
+                networks=networks,
+            )
+        ),
+        workers,
+    )
     return report([root])
 
 
@@ -74,30 +89,48 @@ def measure(plan: RunPlan, workers: Workers) -> Results:
 
 
 def render(prepared: RunPlan, workers: Workers = 1) -> int:
-    """Synthesise the views and the camera path of a prepared run by its methods; arguments and errors as of `render_runs`."""
+    """Synthesise the views and the camera path of a prepared run by its methods.
+
+    Arguments and errors as of `render_runs`.
+    """
     return render_runs([prepared], Stages(prepared.run.root, as_engine(workers)))
 
 
-def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: NetworkOptions = AS_SHIPPED) -> RunPlan:
+def reopen(
+    root: Path, workers: Workers, labels: Sequence[str] = (), networks: NetworkOptions = AS_SHIPPED
+) -> RunPlan:
     """Pick up a run folder that `prepare` has made, from the protocol and capture that it names.
 
     Args:
         labels: methods that will be rendered: those that are fitted need more depth than others.
     """
     run = RunFolder(root)
-    request = RunRequest(root, recorded_capture(run), run.protocol(), labels, networks=networks)
+    request = RunRequest(
+        root=root,
+        capture=recorded_capture(run),
+        protocol=run.protocol(),
+        labels=labels,
+        networks=networks,
+    )
     return prepare_run(plan_run(request), workers)
 
 
 def recorded_capture(run: RunFolder) -> Capture:
-    """Return the capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
+    """Return the capture of a run folder, with the cameras, units and noise it had when the run was
+    prepared.
+    """
     record = run.capture_record()
     if "truth" in record:
         raise ResultsError(
-            f"{run.root}: wanted a run of a capture, got renders with their own truth; `ggvs-eval run OUT --capture CAPTURE`"
+            f"{run.root}: wanted a run of a capture, got renders with their own truth; `ggvs-eval "
+            f"run OUT --capture CAPTURE`"
         )
-    capture = open_capture(run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
-    capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
+    capture = open_capture(
+        run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False
+    )
+    capture = capture.without(
+        [name for name in capture.camera_names if name not in record["cameras"]], ""
+    )
     capture = perturb_capture(capture, CaptureEdit(**(record.get("edit") or {})))
     if "given_depth" in record:
         capture = DEPTH_FILES["maps"](capture, GivenDepth(**record["given_depth"]))
@@ -113,7 +146,9 @@ def report(
     columns: Sequence[str] = (),
     jobs: int = 1,
 ) -> Path:
-    """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept.
+    """Write the page, tables and figures of one or several run folders, see `write_report`.
+
+    One of the same runs is kept.
 
     Kept is a report of which every file is as it was written.
     """
@@ -125,7 +160,8 @@ def report(
         require_imported(run, run.labels())
     templates = Path(str(resources.files("ggvs_eval.reports")))
     if not roots:
-        return write_report(roots, out, tables_of, with_figures, standalone, columns)  # which says that it takes a run
+        # which says that it takes a run
+        return write_report(roots, out, tables_of, with_figures, standalone, columns)
     folder = RunFolder(roots[0]).report if out is None else out
     remove_leftovers(folder)
     inputs = {
@@ -152,7 +188,8 @@ class Stages:
 
     Attributes:
         root: folder of the run, or of the sweep; its lists name all tasks.
-        goes_on: note what fails and continue with the rest; otherwise the first stage with a failure raises it.
+        goes_on: note what fails and continue with the rest; otherwise the first stage with a
+            failure raises it.
     """
 
     root: Path
@@ -193,18 +230,28 @@ def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan
     Returns:
         The runs of which all is measured, with what `Scores.collect` makes their tables of.
     """
-    tried = [stages.attempt(f"prepare {plan.name}", partial(prepare_run, plan, stages.engine)) for plan in plans]
+    tried = [
+        stages.attempt(f"prepare {plan.name}", partial(prepare_run, plan, stages.engine))
+        for plan in plans
+    ]
     ready = [plan for plan in tried if plan]  # planned again where cameras were refined
-    imported = {plan.name: [label for label in plan.request.imports if _import(plan, label, stages)] for plan in ready}
+    imported = {
+        plan.name: [label for label in plan.request.imports if _import(plan, label, stages)]
+        for plan in ready
+    }
     if all(plan.request.only_prepares for plan in ready):
         return []
     render_runs(ready, stages)
     complete = {plan.name: [*plan.rendered_labels(), *imported[plan.name]] for plan in ready}
-    return _score_runs([plan for plan in ready if complete[plan.name] or not stages.goes_on], complete, stages)
+    return _score_runs(
+        [plan for plan in ready if complete[plan.name] or not stages.goes_on], complete, stages
+    )
 
 
 def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
-    """Fit and render the rest, first what waits for no fit. Returns the number of units that were rendered.
+    """Fit and render the rest, first what waits for no fit.
+
+    Returns the number of units that were rendered.
 
     Raises:
         DeviceError: no such device here.
@@ -216,7 +263,9 @@ def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
     count = stages.run("render", [task for task in renders if not task.needs], "rendering")
     from_scenes = [task for task in renders if task.needs]
     left = {task.folder for task in left_of(from_scenes)}
-    needs = {need.folder: need for task in from_scenes for need in task.needs if isinstance(need, Task)}
+    needs = {
+        need.folder: need for task in from_scenes for need in task.needs if isinstance(need, Task)
+    }
     fits = [need for need in needs.values() if need.is_done() or need.folder in left]
     if fits:
         stages.note("fit", fits)
@@ -229,39 +278,61 @@ def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
 
 def _import(plan: RunPlan, label: str, stages: Stages) -> bool:
     """Take in what others rendered, and print how; what is there already is left alone."""
-    work = partial(import_renders, plan.run, label, plan.request.imports[label], workers=stages.engine.jobs)
+    work = partial(
+        import_renders, plan.run, label, plan.request.imports[label], workers=stages.engine.jobs
+    )
     record = stages.attempt(f"{plan.name}: {label}", work)
     for note in record["notes"] if record else ():
         print(f"{plan.name}: {label}: {note}", file=sys.stderr)
     return record is not None
 
 
-def _score_runs(plans: Sequence[RunPlan], complete: dict[str, list[str]], stages: Stages) -> list[tuple[RunPlan, Scores]]:
-    """Measure all that is whole in the run folders; in a part of a run, which others may work on, its own methods alone."""
+def _score_runs(
+    plans: Sequence[RunPlan], complete: dict[str, list[str]], stages: Stages
+) -> list[tuple[RunPlan, Scores]]:
+    """Measure all that is whole in the run folders.
+
+    In a part of a run, which others may work on, its own methods alone.
+    """
     planned: list[tuple[RunPlan, Scores]] = []
     for plan in plans:
-        lacking = {*plan.methods, *plan.request.imports}.difference(complete[plan.name]) | _left_unfinished(plan)
-        labels = complete[plan.name] if plan.request.views else [label for label in plan.run.labels() if label not in lacking]
-        work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
+        lacking = {*plan.methods, *plan.request.imports}.difference(
+            complete[plan.name]
+        ) | _left_unfinished(plan)
+        labels = (
+            complete[plan.name]
+            if plan.request.views
+            else [label for label in plan.run.labels() if label not in lacking]
+        )
+        work = partial(
+            plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device
+        )
         scores = stages.attempt(f"score {plan.name}", work)
         planned += [] if scores is None else [(plan, scores)]
     tasks = [_named(task, plan.name) for plan, scores in planned for task in scores.tasks]
     stages.note("score", tasks)
     stages.run("score", tasks, "scoring")
-    return [(plan, scores) for plan, scores in planned if all(task.is_done() for task in scores.tasks)]
+    return [
+        (plan, scores) for plan, scores in planned if all(task.is_done() for task in scores.tasks)
+    ]
 
 
 def _left_unfinished(plan: RunPlan) -> set[str]:
     """Partially rendered methods that this call did not request; each is logged."""
     run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
-    labels = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
+    labels = [
+        label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}
+    ]
     coverage = read_coverage(run, numbers, labels)
     lacking = coverage.unfinished(run, views, labels)
     rendered_here = {*labels}.difference(coverage.partial, coverage.imported)
     lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
         words = f"its frames are incomplete; --methods {label} resumes it"
-        print(f"{run.root}: {label} omitted, an earlier call did not finish it: {words}", file=sys.stderr)
+        print(
+            f"{run.root}: {label} omitted, an earlier call did not finish it: {words}",
+            file=sys.stderr,
+        )
     return lacking
 
 

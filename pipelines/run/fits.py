@@ -1,4 +1,6 @@
-"""Fits: one scene per fold by a method that is fitted, one task per (method, seed, fold), which continues where it was killed."""
+"""Fits: one scene per fold by a method that is fitted, one task per (method, seed, fold), which
+continues where it was killed.
+"""
 
 import shutil
 import sys
@@ -85,14 +87,18 @@ class FitPlan:
 
 
 def complete(plan: RunPlan) -> RunPlan:
-    """Return the plan with the fits of its methods that are fitted, and a protocol that states their folds."""
+    """Return the plan with the fits of its methods that are fitted, and a protocol that states
+    their folds.
+    """
     fitted = {label: spec for label, spec in plan.methods.items() if spec.preparation == FITS}
     if not fitted:
         return plan
     protocol = fill_folds(plan.protocol, plan.original)
     visible = visible_cameras(plan.original, protocol)
     folds = plan_folds(visible, protocol.views.folds, bool(plan.path), plan.depth)
-    fits = plan_fits(cast("Mapping[str, FittedMethod]", fitted), folds, plan.frames, plan.path_frame)
+    fits = plan_fits(
+        cast("Mapping[str, FittedMethod]", fitted), folds, plan.frames, plan.path_frame
+    )
     return replace(plan, request=replace(plan.request, protocol=protocol), fits=fits)
 
 
@@ -119,13 +125,25 @@ def plan_fits(
             fitter = method.make_fitter()
             for fold in folds:
                 indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
-                with_depth = tuple(indices[indices.index(index)] for index in fitter.depth_indices(indices))
-                fits.append(FitPlan(label, fold, indices, with_depth, method))
+                with_depth = tuple(
+                    indices[indices.index(index)] for index in fitter.depth_indices(indices)
+                )
+                fits.append(
+                    FitPlan(
+                        label=label,
+                        fold=fold,
+                        indices=indices,
+                        depth_indices=with_depth,
+                        method=method,
+                    )
+                )
     return tuple(fits)
 
 
 def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range:
-    """Return the footage of a fit for the camera path, at one instant: as much of the sequence as the method uses."""
+    """Return the footage of a fit for the camera path, at one instant: as much of the sequence as
+    the method uses.
+    """
     if fitter.look_ahead == "none" or path_frame not in frames:
         return range(path_frame, path_frame + 1)
     return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames
@@ -207,7 +225,10 @@ class FitClock:
 
     @property
     def seconds(self) -> float:
-        """Seconds so far, of all attempts; what passed between an attempt's last note and its death is lost."""
+        """Seconds so far, of all attempts.
+
+        What passed between an attempt's last note and its death is lost.
+        """
         return self._before_s + time.monotonic() - self.begun_s
 
     def note(self, count: int, total: int) -> None:
@@ -216,10 +237,16 @@ class FitClock:
         if self._first_done is None:
             self._first_done = count
         if now_s - self._noted_s >= NOTE_EVERY_S:
-            write_json(self.folder / TIME_FILE, {"seconds": self.seconds, "done": count, "total": total})
+            write_json(
+                self.folder / TIME_FILE, {"seconds": self.seconds, "done": count, "total": total}
+            )
             self._noted_s = now_s
         if now_s - self._told_s >= LINE_EVERY_S:
             pace = (count - self._first_done) / (now_s - self.begun_s)
             left = f", about {duration((total - count) / pace)} left" if pace else ""
-            print(f"{self.name}: {count} of {total} steps in {duration(self.seconds)}{left}", file=sys.stderr, flush=True)
+            print(
+                f"{self.name}: {count} of {total} steps in {duration(self.seconds)}{left}",
+                file=sys.stderr,
+                flush=True,
+            )
             self._told_s = now_s

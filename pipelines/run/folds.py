@@ -1,7 +1,9 @@
-"""Folds of test cameras for methods that are fitted: those held out together, and the input of each fit.
+"""Folds of test cameras for methods that are fitted: those held out together, and the input of each
+fit.
 
-A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that are
-far apart are held out together: the neighbours of each stay training cameras.
+A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to
+hours, so test cameras that are far apart are held out together: the neighbours of each stay
+training cameras.
 """
 
 from collections.abc import Sequence
@@ -32,8 +34,10 @@ class FoldPlan:
 
     Attributes:
         name: ``fold1``, ``fold2``, ... or `ALL`.
-        held_out: test cameras that are rendered from it and take no part in it; none for `ALL`, which renders the camera path.
-        jobs: depth of each training camera, matched with training cameras, in the order of the capture.
+        held_out: test cameras that are rendered from it and take no part in it; none for `ALL`,
+            which renders the camera path.
+        jobs: depth of each training camera, matched with training cameras, in the order of the
+            capture.
     """
 
     name: str
@@ -52,15 +56,18 @@ class FoldPlan:
 
 
 def choose_folds(cameras: Sequence[Camera]) -> Folds:
-    """Distribute test cameras over at most three folds of nearly equal size, so that those of a fold are far apart.
+    """Distribute test cameras over at most three folds of nearly equal size, so that those of a
+    fold are far apart.
 
     Returns:
         Names by fold: a partition of the test cameras, each fold in their order.
 
     Reading:
-        The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at once. Three folds cost three fits
-        regardless of the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away,
-        among those that are not full; then pairs change places while that moves the nearest two cameras of a fold farther apart.
+        The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at
+        once. Three folds cost three fits regardless of the number of test cameras. Cameras are
+        dealt one by one to the fold whose nearest member is farthest away, among those that are not
+        full; then pairs change places while that moves the nearest two cameras of a fold farther
+        apart.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path
@@ -79,14 +86,19 @@ def choose_folds(cameras: Sequence[Camera]) -> Folds:
     folds: list[list[int]] = [[] for _ in range(count)]
     for camera in range(len(cameras)):
         free = [at for at in range(count) if len(folds[at]) < capacities[at]]
-        best = max(free, key=lambda at: min((distances[camera, member] for member in folds[at]), default=np.inf))
+        best = max(
+            free,
+            key=lambda at: min((distances[camera, member] for member in folds[at]), default=np.inf),
+        )
         folds[best].append(camera)
     _exchange(folds, distances)
     return tuple(tuple(cameras[member].name for member in sorted(fold)) for fold in folds)
 
 
 def _exchange(folds: list[list[int]], distances: Array) -> None:
-    """Let two cameras of different folds change places while the smallest distances within folds, ascending, grow by it."""
+    """Let two cameras of different folds change places while the smallest distances within folds,
+    ascending, grow by it.
+    """
     better = True
     while better:
         better = False
@@ -109,7 +121,8 @@ def _closeness(folds: Sequence[Sequence[int]], distances: Array) -> list[float]:
 def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
     """State the folds of a protocol that leaves them open: those of `choose_folds`.
 
-    Test cameras that no method may see (``views.sources``) are held out by every fit anyway, and are in the first fold.
+    Test cameras that no method may see (``views.sources``) are held out by every fit anyway, and
+    are in the first fold.
     """
     views = protocol.views
     if views.folds:
@@ -121,23 +134,35 @@ def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
     return protocol.with_folds(((*unseen, *folds[0]), *folds[1:]))
 
 
-def plan_folds(capture: Capture, folds: Folds, along_path: bool, depth: DepthProvider) -> tuple[FoldPlan, ...]:
+def plan_folds(
+    capture: Capture, folds: Folds, along_path: bool, depth: DepthProvider
+) -> tuple[FoldPlan, ...]:
     """Plan the input of each fit.
 
     Args:
         capture: holds the cameras that may be seen; test cameras among them or not.
         along_path: also plan the fit of all cameras that may be seen.
     """
-    held_out = [(f"fold{number}", fold) for number, fold in enumerate(folds, start=1)] + ([(ALL, ())] if along_path else [])
-    return tuple(FoldPlan(name, fold, _rig_depth(capture, name, fold, depth)) for name, fold in held_out)
+    held_out = [(f"fold{number}", fold) for number, fold in enumerate(folds, start=1)] + (
+        [(ALL, ())] if along_path else []
+    )
+    return tuple(
+        FoldPlan(name, fold, _rig_depth(capture, name, fold, depth)) for name, fold in held_out
+    )
 
 
-def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], depth: DepthProvider) -> tuple[DepthJob, ...]:
-    """Depth of what is left when some cameras are held out; nothing of those can reach it, as they are not in the capture."""
+def _rig_depth(
+    capture: Capture, name: str, held_out: Sequence[str], depth: DepthProvider
+) -> tuple[DepthJob, ...]:
+    """Depth of what is left when some cameras are held out.
+
+    Nothing of those can reach it, as they are not in the capture.
+    """
     training = capture.without(held_out, "held out")
     if len(training.cameras) < FEWEST_CAMERAS:
         raise CameraError(
-            f"{name} holds out {', '.join(held_out)} and leaves {len(training.cameras)} training cameras, wanted "
-            f"{FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or add cameras (views.sources)"
+            f"{name} holds out {', '.join(held_out)} and leaves {len(training.cameras)} training "
+            f"cameras, wanted {FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or "
+            "add cameras (views.sources)"
         )
     return depth.of_rig(training)

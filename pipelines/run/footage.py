@@ -1,4 +1,7 @@
-"""Footage of a fit: the training cameras of its fold and nothing else; apart, since the identity of a fit begins here."""
+"""Footage of a fit: the training cameras of its fold and nothing else.
+
+Apart, since the identity of a fit begins here.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -10,8 +13,12 @@ if TYPE_CHECKING:  # how folds are planned is no part of what they show
     from ggvs_eval.pipelines.run.folds import FoldPlan
 
 
-def fold_footage(capture: Capture, fold: "FoldPlan", indices: range, depths: DepthStore, seed: int) -> Footage:
-    """Give a fit its training cameras, one by one: what is not named here does not travel with it."""
+def fold_footage(
+    capture: Capture, fold: "FoldPlan", indices: range, depths: DepthStore, seed: int
+) -> Footage:
+    """Give a fit its training cameras, one by one: what is not named here does not travel
+    with it.
+    """
     names = fold.cameras
     training = capture.without([name for name in capture.camera_names if name not in names], "")
     return Footage(

@@ -1,4 +1,6 @@
-"""Time of live depth: how long a picture waits for the depth of its sources where depth is computed as frames arrive."""
+"""Time of live depth: how long a picture waits for the depth of its sources where depth is computed
+as frames arrive.
+"""
 
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.kernels import get_threads
@@ -20,18 +22,22 @@ def tasks(_plan: RunPlan) -> list[AnyTask]:
 
 
 def prepare(plan: RunPlan, _workers: Workers) -> None:
-    """Measure it on the first frames of each test view, once, in this process alone; nothing if depth is not live.
+    """Measure it on the first frames of each test view, once, in this process alone.
 
-    What is timed is what the run's depth was made by: all sources of the view together, by pairs that are matched once or in one
-    batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the
-    depth's record.
+    Nothing if depth is not live.
+
+    What is timed is what the run's depth was made by: all sources of the view together, by pairs
+    that are matched once or in one batch on a GPU, and each map checked against the others. The
+    seconds of each frame and the threads are written next to the depth's record.
     """
     run, capture = plan.run, plan.capture
     if plan.protocol.stream is None or not run.has_live_depth or run.live_depth_record.is_file():
         return
     seconds: list[float] = []
     for source_plan in plan.plans.values():
-        partners = {job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names}
+        partners = {
+            job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names
+        }
         rig = plan.depth.live_rig(capture.cameras, partners) if partners else None
         if rig is None:
             continue

@@ -1,4 +1,7 @@
-"""Work left in runs and results of other code, counted from their plans and folders; nothing is written."""
+"""Work left in runs and results of other code, counted from their plans and folders.
+
+Nothing is written.
+"""
 
 import shutil
 import sys
@@ -58,7 +61,11 @@ class Workload:
         """Bytes that the runs will still take at once: what is passing makes room for renders."""
         passing = sum(_bytes(task) for task in self.left if task.folder in self.passing)
         later = sum(_bytes(task) for task in self.left if task.kind in RENDERS)
-        remaining = sum(_bytes(task) for task in self.left if task.kind not in RENDERS and task.folder not in self.passing)
+        remaining = sum(
+            _bytes(task)
+            for task in self.left
+            if task.kind not in RENDERS and task.folder not in self.passing
+        )
         return remaining + max(passing, later)
 
     @property
@@ -84,24 +91,34 @@ class Workload:
         parts += [f"{counted(count, noun)} to {doing}" for count, noun, doing in stages if count]
         lines = [
             f"plan: {self.title}; left are {', '.join(parts)}",
-            f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
+            f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} "
+            f"free",
         ]
         return "\n".join([*lines, *self._time_lines()])
 
     def _time_lines(self) -> list[str]:
-        """A line per stage where it takes a while; on this machine, by a probe and by what was made here already."""
+        """A line per stage where it takes a while.
+
+        On this machine, by a probe and by what was made here already.
+        """
         at_pace_1 = estimate(self.left, self.history, lambda: 1.0)
         if at_pace_1.seconds < WORTH_A_TABLE_S:
             return []
-        stages = {name: [task for task in self.left if stage_of(task.kind) == name] for name in STAGES}
-        times = {name: estimate(tasks, self.history, self.pace) for name, tasks in stages.items() if tasks}
+        stages = {
+            name: [task for task in self.left if stage_of(task.kind) == name] for name in STAGES
+        }
+        times = {
+            name: estimate(tasks, self.history, self.pace)
+            for name, tasks in stages.items()
+            if tasks
+        }
         longest = max(times, key=lambda name: times[name].seconds)
         unknown = sum(time.unknown for time in times.values())
         more = f", and {counted(unknown, 'piece')} of unknown time" if unknown else ""
         whole_s = sum(time.seconds for time in times.values()) / self.jobs
         return [
-            f"time: about {duration(whole_s)} on {counted(self.jobs, 'core')}{more}; mostly {longest}; to shorten: "
-            f"{STAGES[longest]}",
+            f"time: about {duration(whole_s)} on {counted(self.jobs, 'core')}{more}; mostly "
+            f"{longest}; to shorten: {STAGES[longest]}",
             *(self._stage_line(name, stages[name], time) for name, time in times.items()),
         ]
 
@@ -118,8 +135,9 @@ class Workload:
         needed, free = self.disk_bytes, self.free_bytes
         if needed > free:
             raise ProtocolError(
-                f"{self.folder}: this run needs about {_size(needed)}, the disk has {_size(free)} free; free the difference, "
-                "choose a folder on another disk, or reduce the run (frames.count, views.test, synthesis.width, methods)"
+                f"{self.folder}: this run needs about {_size(needed)}, the disk has {_size(free)} "
+                "free; free the difference, choose a folder on another disk, or reduce the run "
+                "(frames.count, views.test, synthesis.width, methods)"
             )
 
 
@@ -135,9 +153,18 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
         records += [render.made for render in renders]
         left |= {task.folder: task for task in (*missing, *_scores_left(plan, missing))}
         if plan.request.shared is None:
-            passing |= {task.folder for task in missing if isinstance(task, FileTask) and task.passes}
+            passing |= {
+                task.folder for task in missing if isinstance(task, FileTask) and task.passes
+            }
             passing -= {task.folder for task in tasks}
-    return Workload(_title(plans), tuple(left.values()), tuple(records), folder, frozenset(passing), jobs)
+    return Workload(
+        title=_title(plans),
+        left=tuple(left.values()),
+        history=tuple(records),
+        folder=folder,
+        passing=frozenset(passing),
+        jobs=jobs,
+    )
 
 
 def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
@@ -157,18 +184,28 @@ def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool 
     if outdated := describe_outdated([plan.run for plan in plans]):
         print(f"{folder}: {outdated}; they are recomputed", file=sys.stderr)
     work = count_work(plans, folder, jobs)
-    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
+    notes = [
+        note
+        for plan in plans
+        for note in plan.capture.notes
+        if note not in plan.request.capture.notes
+    ]
     lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
     if lines or dry_run:
-        print("\n".join(lines) or f"{folder}: no work left", file=sys.stdout if dry_run else sys.stderr)
+        print(
+            "\n".join(lines) or f"{folder}: no work left",
+            file=sys.stdout if dry_run else sys.stderr,
+        )
     work.require_disk()
 
 
 def describe_outdated(runs: Iterable[RunFolder]) -> str:
-    """Count what other code than this version's has made in run folders: renders, their depth, scored views; empty if nothing.
+    """Count what other code than this version's has made in run folders: renders, their depth,
+    scored views; empty if nothing.
 
     Reading:
-        Methods and metrics that this version does not have are not counted: nothing here would make them again.
+        Methods and metrics that this version does not have are not counted: nothing here would make
+        them again.
     """
     renders: list[str] = []
     scored = depth = 0
@@ -181,23 +218,35 @@ def describe_outdated(runs: Iterable[RunFolder]) -> str:
             renders += [label for folder in folders if _is_outdated(label, _identity(folder))]
         scored += sum(_has_outdated_scores(run.scores(view)) for view in views)
         depth += MATCHED in DEPTH and DEPTH[MATCHED].is_outdated(run)
-    parts = [f"{counted(len(renders), 'render')} ({', '.join(dict.fromkeys(renders))})"] if renders else []
+    parts = (
+        [f"{counted(len(renders), 'render')} ({', '.join(dict.fromkeys(renders))})"]
+        if renders
+        else []
+    )
     parts += ["the depth of renders"] if depth else []
     parts += [counted(scored, "scored view")] if scored else []
     return f"{', '.join(parts)} are of another version of the code" if parts else ""
 
 
 def _has_outdated_scores(folder: Path) -> bool:
-    """Return whether values of a view were measured by other code than their metric's, or kept as an earlier version did."""
-    folders = (file.parent for file in folder.glob(f"*/*/{JOB_FILE}") if file.parent.name in METRICS)
-    is_other = (_identity(metric).get("code") != metric_code(METRICS[metric.name]) for metric in folders)
+    """Return whether values of a view were measured by other code than their metric's, or kept as
+    an earlier version did.
+    """
+    folders = (
+        file.parent for file in folder.glob(f"*/*/{JOB_FILE}") if file.parent.name in METRICS
+    )
+    is_other = (
+        _identity(metric).get("code") != metric_code(METRICS[metric.name]) for metric in folders
+    )
     return (folder / JOB_FILE).is_file() or any(is_other)
 
 
 def _is_outdated(label: str, identity: Mapping[str, Any]) -> bool:
     """Return whether a render was made by other code than the method's of this version."""
     try:
-        method = find_method(label, NetworkOptions(device="cuda" if "device" in identity else "cpu"))
+        method = find_method(
+            label, NetworkOptions(device="cuda" if "device" in identity else "cpu")
+        )
     except GgvsError:
         return False
     return "code" in identity and identity["code"] != method_code(method)
@@ -208,20 +257,30 @@ def _identity(folder: Path) -> dict[str, Any]:
 
 
 def _scores_left(plan: RunPlan, missing: Sequence[Result]) -> Iterator[Result]:
-    """Yield the scores of the views that are asked for; of views that are not rendered yet, they are not known one by one."""
+    """Yield the scores of the views that are asked for.
+
+    Of views that are not rendered yet, they are not known one by one.
+    """
     if not plan.methods:
         return
     unrendered = {unit for task in missing if isinstance(task, UnitTask) for unit in task.units}
-    views = [view for view in plan.plans if plan.request.views is None or view in plan.request.views]
+    views = [
+        view for view in plan.plans if plan.request.views is None or view in plan.request.views
+    ]
     width, height = plan.original.cameras[0].size
     cost_s = score_cost(plan.protocol.measurement) * width * height / 1e6 * len(plan.methods)
     for view in views:
         if view in unrendered:
             folder = plan.run.scores(view)
-            yield Result(f"scores of {view}", folder, kind="score", count=len(plan.frames), cost_s=cost_s)
+            yield Result(
+                f"scores of {view}", folder, kind="score", count=len(plan.frames), cost_s=cost_s
+            )
     rendered, labels = [view for view in views if view not in unrendered], [*plan.methods]
     if rendered:
-        coverage, device = read_coverage(plan.run, plan.frames, labels), plan.request.networks.device
+        coverage, device = (
+            read_coverage(plan.run, plan.frames, labels),
+            plan.request.networks.device,
+        )
         for view in rendered:
             yield from left_of(score_tasks(plan.run, plan.protocol, coverage, labels, view, device))
 
@@ -240,7 +299,10 @@ def _title(plans: Sequence[RunPlan]) -> str:
         if measurement.lpips_every > 1 and any(COSTLIEST in name for name in measurement.metrics)
     }
     lpips = f", {COSTLIEST} of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
-    return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
+    return (
+        f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x "
+        f"{height}, K = {ks}{lpips}"
+    )
 
 
 def _bytes(task: Result) -> float:

@@ -24,14 +24,22 @@ TAU_M, NOISE_M = 0.02, 0.001  # as `OnlineOptions` has them
 
 
 def write_path_depth(
-    capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
+    capture: Capture,
+    poses: Sequence[tuple[Camera, dict[str, str]]],
+    frame: int,
+    store: DepthStore,
+    folder: Path,
 ) -> None:
     """Write the depth of each pose that is missing; arguments as of `path_depth_task`."""
     make_files([path_depth_task(capture, poses, frame, store, folder)], 1, "depth along the path")
 
 
 def path_depth_task(
-    capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
+    capture: Capture,
+    poses: Sequence[tuple[Camera, dict[str, str]]],
+    frame: int,
+    store: DepthStore,
+    folder: Path,
 ) -> FileTask:
     """Return what fuses the depth of each pose's source cameras.
 
@@ -40,8 +48,8 @@ def path_depth_task(
         folder: where ``<pose>.npy`` goes, (H, W) float32, world units, 0 = unknown.
 
     Reading:
-        A method's own depth would hide its contradictions from the measures; this one is the same for all. It is fused as the
-        online method does it (Eq. 3), without history.
+        A method's own depth would hide its contradictions from the measures; this one is the same
+        for all. It is fused as the online method does it (Eq. 3), without history.
     """
     inputs = {
         "poses": [seen_from(target, keys) for target, keys in poses],
@@ -82,7 +90,8 @@ def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float32)
     except (OSError, ValueError, EOFError) as error:
         raise DepthError(
-            f"{file}: wanted depth of a path's pose, got: {error}; move it away and run `ggvs-eval prepare`"
+            f"{file}: wanted depth of a path's pose, got: {error}; move it away and run `ggvs-eval "
+            f"prepare`"
         ) from error
 
 
@@ -91,8 +100,12 @@ def pose_file(folder: Path, pose: int) -> Path:
     return folder / f"{pose:04d}.npy"
 
 
-def _fused_depth(capture: Capture, target: Camera, keys: dict[str, str], frame: int, store: DepthStore) -> NDArray[np.float32]:
+def _fused_depth(
+    capture: Capture, target: Camera, keys: dict[str, str], frame: int, store: DepthStore
+) -> NDArray[np.float32]:
     tau, noise = TAU_M * capture.units_per_metre, NOISE_M * capture.units_per_metre
     depths = [store.read(key, frame).depth for key in keys.values()]
     weights = [fusion_weights(depth, tau, noise) for depth in depths]
-    return ray_march(target, [capture.camera(name) for name in keys], depths, weights, tau=tau).depth
+    return ray_march(
+        target, [capture.camera(name) for name in keys], depths, weights, tau=tau
+    ).depth

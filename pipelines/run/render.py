@@ -25,13 +25,31 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.results import installed_versions, split_label
-from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
+from ggvs_eval.run_folder import (
+    JOB_FILE,
+    REFUSED,
+    RunFolder,
+    diagnostics_path,
+    frame_path,
+    read_json,
+    write_json,
+)
 from ggvs_eval.tasks.identity import code_of
 from ggvs_eval.tasks.task import Task
 
-# Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest first.
+# Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest
+# first.
 VIEW_COLOURS = np.array(
-    [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
+    [
+        (230, 159, 0),
+        (86, 180, 233),
+        (0, 158, 115),
+        (240, 228, 66),
+        (0, 114, 178),
+        (213, 94, 0),
+        (204, 121, 167),
+    ],
+    np.float32,
 )
 OF_TASK = ("sha256", "identity", "files")  # in a record, besides what its maker says
 FITS = "fits"  # folder next to truth and depth
@@ -82,7 +100,9 @@ class SceneFit(Door):
         """Return the task that fits it."""
 
 
-def render_task(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, fit: UnitTask | None = None) -> UnitTask:
+def render_task(
+    run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, fit: UnitTask | None = None
+) -> UnitTask:
     """Return the task that renders one unit by one method.
 
     Args:
@@ -110,12 +130,17 @@ def render_task(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, 
 
 
 def method_code(spec: MethodSpec) -> str:
-    """Return the hash of the code that a method's frames are made by, from the captured ones to the files."""
+    """Return the hash of the code that a method's frames are made by, from the captured ones to the
+    files.
+    """
     return code_of(*spec.modules, RenderUnit.__module__)
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
-    """Remember the order in which methods were asked for, the last time for all of them; a table shows them in it."""
+    """Remember the order in which methods were asked for, the last time for all of them.
+
+    A table shows them in it.
+    """
     order = run.root / "methods.json"
     record = read_json(order) if order.is_file() else {}
     before = record.get("labels", [])
@@ -125,17 +150,27 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
 
 
 def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dict[str, Any]:
-    """Write the pictures of a unit; returns what job.json records besides the identity: seconds per stage."""
+    """Write the pictures of a unit.
+
+    Returns what job.json records besides the identity: seconds per stage.
+    """
     seconds: list[dict[str, float]] = []
     refused: dict[str, str] = {}
     with PeakMemory() as memory:
         try:
-            for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
+            for (number, _, target), rendering in zip(
+                unit.shots, spec.renderings(unit), strict=True
+            ):
                 if not np.isfinite(rendering.image).all():
-                    raise RenderError(f"{label}, frame {number}: wanted an image of finite numbers, got others")
+                    raise RenderError(
+                        f"{label}, frame {number}: wanted an image of finite numbers, got others"
+                    )
                 write_image(frame_path(folder, number), quantise(rendering.image))
                 with spec.guard(f"its diagnostics of frame {number} are none"):
-                    maps = {name: diagnostics_picture(name, values, target) for name, values in rendering.diagnostics.items()}
+                    maps = {
+                        name: diagnostics_picture(name, values, target)
+                        for name, values in rendering.diagnostics.items()
+                    }
                 for name, picture in maps.items():
                     write_image(diagnostics_path(folder, name, number), picture)
                 seconds.append(rendering.seconds)
@@ -148,7 +183,10 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         "method": name,
         "variant": variant,
         "size": list(unit.plans[0].target.size),
-        "seconds": {stage: [frame.get(stage, 0.0) for frame in seconds] for stage in (seconds[0] if seconds else ())},
+        "seconds": {
+            stage: [frame.get(stage, 0.0) for frame in seconds]
+            for stage in (seconds[0] if seconds else ())
+        },
         "threads": get_threads(),
         "peak_bytes": memory.bytes,
         "versions": installed_versions(),
@@ -166,10 +204,13 @@ def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:
 
 
 def view_colours(weights: Map) -> Image8:
-    """Return the weights as a mixture of one colour per source view; dark where the background takes over.
+    """Return the weights as a mixture of one colour per source view.
+
+    Dark where the background takes over.
 
     Args:
-        weights: (K, h, w); what is missing to a sum of 1 is the background's. From the eighth view on colours come again.
+        weights: (K, h, w); what is missing to a sum of 1 is the background's. From the eighth view
+            on colours come again.
     """
     colours = np.take(VIEW_COLOURS, np.arange(len(weights)), axis=0, mode="wrap")
     return np.rint(np.einsum("khw,kc->hwc", weights, colours).clip(0, 255)).astype(np.uint8)

@@ -1,6 +1,7 @@
 """The plan of a run: the request, and everything that follows from it before anything is written.
 
-A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
+A plan is made once. What is left to do is counted on it, and prepare, render and score work through
+it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -41,7 +42,8 @@ class RunRequest:
         labels: methods; none if it is only prepared.
         depth: how depth is found; as the folder says, or the default.
         shared: folder whose truth/ and depth/ it uses together with others; its own where None.
-        views: units of a shard, test views or ``path``; None for all, none if the run is only prepared.
+        views: units of a shard, test views or ``path``; None for all, none if the run is only
+            prepared.
         imports: label -> renders of others, which become a method of the run.
         name: of the run in a sweep, for people.
     """
@@ -103,16 +105,21 @@ class RunPlan:
 
     @cached_property
     def capture(self) -> Capture:
-        """The capture at synthesis size, its frames read from the run folder: there they are once it is prepared."""
+        """The capture at synthesis size, its frames read from the run folder: there they are once
+        it is prepared.
+        """
         return cached_capture(self.original, self.frames_of_cameras(), self.run.root / "truth")
 
     @cached_property
     def renders(self) -> tuple[UnitTask, ...]:
-        """What renders each unit by each method; what waits for no fit first, and the longest of these.
+        """What renders each unit by each method.
+
+        What waits for no fit first, and the longest of these.
 
         Raises:
             DeviceError: no such device here.
-            RenderError: a method that cannot be made, or one that is fitted and that the run was planned without.
+            RenderError: a method that cannot be made, or one that is fitted and that the run was
+                planned without.
             WeightsError: a method lacks its weights, or they are not its own.
         """
         for spec in self.methods.values():
@@ -126,7 +133,9 @@ class RunPlan:
                 renders.append(self._priced(render_task(self.run, label, spec, of_fit, fit)))
         # All workers end at about the same time where the longest begin.
         of_path_first = len(self.path) > len(self.frames)
-        renders.sort(key=lambda render: (bool(render.needs), (render.unit == PATH) != of_path_first))
+        renders.sort(
+            key=lambda render: (bool(render.needs), (render.unit == PATH) != of_path_first)
+        )
         views = self.request.views
         return tuple(render for render in renders if views is None or render.unit in views)
 
@@ -140,8 +149,15 @@ class RunPlan:
         """Everything that is made before renders are scored, in the order in which it is made."""
         calibrations = [self.calibration(1)] if self.calibration else []
         frames = frame_tasks(self.original, self.frames_of_cameras(), self.shared_root / "truth")
-        prepared = [task for preparation in PREPARATIONS.built_in().values() for task in preparation.tasks(self)]
-        return [*map(self._priced, (*calibrations, *frames, *self.depth_tasks(), *prepared)), *self.renders]
+        prepared = [
+            task
+            for preparation in PREPARATIONS.built_in().values()
+            for task in preparation.tasks(self)
+        ]
+        return [
+            *map(self._priced, (*calibrations, *frames, *self.depth_tasks(), *prepared)),
+            *self.renders,
+        ]
 
     def depth_tasks(self) -> list[FileTask]:
         """Return what makes the depth of views, path and fits."""
@@ -150,19 +166,36 @@ class RunPlan:
             for job in jobs:
                 instants.setdefault(job, set()).update(frames)
         store = DepthStore(self.shared_root / "depth")
-        return [task for job, frames in instants.items() for task in depth_tasks([job], sorted(frames), store)]
+        return [
+            task
+            for job, frames in instants.items()
+            for task in depth_tasks([job], sorted(frames), store)
+        ]
 
     def rendered_labels(self) -> list[str]:
-        """Return the methods whose test views are all rendered, as far as the request names them."""
-        open_labels = {render.label for render in self.renders if render.unit != PATH and not render.is_done()}
+        """Return the methods whose test views are all rendered, as far as the request names
+        them.
+        """
+        open_labels = {
+            render.label for render in self.renders if render.unit != PATH and not render.is_done()
+        }
         return [label for label in self.methods if label not in open_labels]
 
     @property
     def units(self) -> list[RenderUnit]:
         """The test views, and the camera path if there is one."""
-        plans = {view: (plan,) for view, plan in self.plans.items()} | ({PATH: self.path} if self.path else {})
+        plans = {view: (plan,) for view, plan in self.plans.items()} | (
+            {PATH: self.path} if self.path else {}
+        )
         return [
-            RenderUnit(name, of_unit, self.frames, self.path_frame, self.capture, self.run.depth)
+            RenderUnit(
+                name=name,
+                plans=of_unit,
+                frames=self.frames,
+                path_frame=self.path_frame,
+                capture=self.capture,
+                depths=self.run.depth,
+            )
             for name, of_unit in plans.items()
         ]
 
@@ -182,7 +215,10 @@ class RunPlan:
         return range(self.path_frame, self.path_frame + 1)
 
     def depth_work(self) -> list[tuple[list[DepthJob], Sequence[int]]]:
-        """Jobs of depth with their instants, for views, path and fits; maps that are wanted for several are in each."""
+        """Jobs of depth with their instants, for views, path and fits.
+
+        Maps that are wanted for several are in each.
+        """
         of_views, of_path = (self.view_jobs, self.frames), (self.path_jobs, self.path_frames)
         of_fits = dict.fromkeys(fit.depth for fit in self.fits)
         return [of_views, of_path, *((list(jobs), frames) for jobs, frames in of_fits if frames)]
@@ -201,14 +237,20 @@ class RunPlan:
         """Return a task with the costs of its kind, at the size of the run."""
         width, height = self.original.cameras[0].size
         costs = COSTS | {"depth": self.depth.cost}
-        cost = render_cost(task.pace) if task.kind in ("render", "path render") else costs.get(task.kind)
+        cost = (
+            render_cost(task.pace)
+            if task.kind in ("render", "path render")
+            else costs.get(task.kind)
+        )
         cost_s = None if cost is None else cost * width * height / 1e6
         n_bytes = N_BYTES.get(task.kind, 0.0) * width * height
         needs: Any = tuple(map(self._priced, task.needs))
         return replace(task, cost_s=cost_s, n_bytes=n_bytes, needs=needs)
 
     def frames_of_cameras(self) -> dict[str, list[int]]:
-        """Frames of each camera that take part: test views, source cameras and those that their depth is matched with."""
+        """Frames of each camera that take part: test views, source cameras and those that their
+        depth is matched with.
+        """
         numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
         for jobs, frames in self.depth_work():
             needed = {*frames, *range(self.depth.first_needed(frames[0]), frames[0])}
@@ -221,7 +263,10 @@ class RunPlan:
 
 
 class Preparation(Door):
-    """Something that runs need before they are rendered, besides captured frames and depth; each is a module."""
+    """Something that runs need before they are rendered, besides captured frames and depth.
+
+    Each is a module.
+    """
 
     def complete(self, plan: RunPlan, /) -> RunPlan:
         """Return the plan with what it adds to it."""
@@ -238,25 +283,37 @@ PREPARATIONS: Registry[Preparation] = Registry("preparations", built_in.PREPARAT
 
 
 def plan_run(request: RunRequest) -> RunPlan:
-    """Choose source cameras and depth partners of every test view and path pose; nothing is written.
+    """Choose source cameras and depth partners of every test view and path pose.
+
+    Nothing is written.
 
     Raises:
         CaptureError: the capture lacks what the protocol asks for.
-        CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
+        CameraError: fewer sources than the protocol wants, or sources that can show too little of a
+            test view.
         DepthError: a view none of whose sources has depth, where a method wants it.
         DeviceError: depth is learned, and there is no such device.
-        ProtocolError: the folder's depth is found otherwise, or it holds a run of another protocol or capture.
+        ProtocolError: the folder's depth is found otherwise, or it holds a run of another protocol
+            or capture.
 
     Reading:
-        Shares are for targets that move. A test view is static and its sources never change, so that all count whole: with the
-        path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
+        Shares are for targets that move. A test view is static and its sources never change, so
+        that all count whole: with the path's shares, nearest sources score up to 0.17 dB less and
+        chosen ones 0.08 to 0.18 dB (validation rooms).
     """
-    run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}
+    run, methods = (
+        RunFolder(request.root),
+        {label: find_method(label, request.networks) for label in request.labels},
+    )
     for label, spec in methods.items():
         if reason := PREPARATIONS.why_absent(spec.preparation):
             raise AbsentPartError(f"{label}: {reason}")
     protocol = request.protocol.over(request.capture.n_frames)
-    if not protocol.views.folds and run.protocol_file.is_file() and (run_protocol := run.protocol()).agrees_with(protocol):
+    if (
+        not protocol.views.folds
+        and run.protocol_file.is_file()
+        and (run_protocol := run.protocol()).agrees_with(protocol)
+    ):
         protocol = run_protocol
     request = replace(request, protocol=protocol)
     calibrated, calibration, choice = request.capture, None, protocol.synthesis.calibration
@@ -267,8 +324,18 @@ def plan_run(request: RunRequest) -> RunPlan:
     visible, device = visible_cameras(capture, protocol), request.networks.device
     depth = depth_of_run(run, request.depth, visible, protocol, device, methods)
     views = depth.sources([capture.camera(view) for view in protocol.views.test])
-    plans = {view: replace(plan, shares=dict.fromkeys(plan.shares, 1.0)) for view, plan in views.items()}
-    planned = RunPlan(request, run, methods, depth, capture, plans, calibration=calibration)
+    plans = {
+        view: replace(plan, shares=dict.fromkeys(plan.shares, 1.0)) for view, plan in views.items()
+    }
+    planned = RunPlan(
+        request=request,
+        run=run,
+        methods=methods,
+        depth=depth,
+        original=capture,
+        plans=plans,
+        calibration=calibration,
+    )
     for preparation in PREPARATIONS.built_in().values():
         planned = preparation.complete(planned)
     return replace(planned, original=replace(capture, notes=(*capture.notes, *depth.notes)))
@@ -277,7 +344,11 @@ def plan_run(request: RunRequest) -> RunPlan:
 def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
     """Return the capture without the cameras that no method may see (`Views.sources_of`)."""
     sources = protocol.views.sources_of(capture.scene)
-    return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture
+    return (
+        capture.without([name for name in capture.camera_names if name not in sources], "not seen")
+        if sources
+        else capture
+    )
 
 
 def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
@@ -295,8 +366,8 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     frames = protocol.frames.numbers
     if frames.stop > capture.n_frames:
         raise CaptureError(
-            f"{capture.path}: protocol {protocol.name} wanted frames {frames.start}..{frames.stop - 1}, got "
-            f"{capture.n_frames}; lower frames.count"
+            f"{capture.path}: protocol {protocol.name} wanted frames "
+            f"{frames.start}..{frames.stop - 1}, got {capture.n_frames}; lower frames.count"
         )
     synthesis = protocol.synthesis
     if synthesis.width:

@@ -1,4 +1,6 @@
-"""The code behind each score: a value is stale when the code that measures it has changed, and only then."""
+"""The code behind each score: a value is stale when the code that measures it has changed, and only
+then.
+"""
 
 from ggvs_eval.metrics.metric import Metric
 from ggvs_eval.scoring import QUESTIONS

@@ -14,7 +14,14 @@ from ggvs_eval.metrics.path_scores import measured_on_path, score_path
 from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames
+from ggvs_eval.run_folder import (
+    JOB_FILE,
+    RunFolder,
+    frame_path,
+    missing_frames,
+    read_json,
+    require_frames,
+)
 from ggvs_eval.scoring import Row, ScorePart, ScoreRequest
 from ggvs_eval.tasks.identity import code_of
 from ggvs_eval.tasks.task import Task
@@ -33,8 +40,12 @@ def plan_path_scores(request: ScoreRequest) -> ScorePart:
     return ScorePart(tasks=tuple(tasks), rows=rows, references=partial(true_rows, tasks))
 
 
-def path_rows(tasks: Sequence[Task], protocol: Protocol, label: str) -> tuple[list[Row], dict[str, str]]:
-    """Return the measures of a method's camera path, each over the whole path, and why some are not there."""
+def path_rows(
+    tasks: Sequence[Task], protocol: Protocol, label: str
+) -> tuple[list[Row], dict[str, str]]:
+    """Return the measures of a method's camera path, each over the whole path, and why some are not
+    there.
+    """
     metrics = select_metrics(protocol.measurement.metrics)
     names = [metric.name for metric in metrics if metric.kind == "path"]
     scores = read_paths(tasks).get(label)
@@ -56,7 +67,8 @@ def true_rows(tasks: Sequence[Task]) -> list[dict[str, Any]]:
 
 
 def path_tasks(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Task]:
-    """Return what measures the path of every method that has one, and of the truth where the capture has true images of it.
+    """Return what measures the path of every method that has one, and of the truth where the
+    capture has true images of it.
 
     Returns:
         One per method; empty if there is no path, or the protocol asks for none of its measures.
@@ -64,13 +76,22 @@ def path_tasks(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> lis
     Raises:
         RenderError: pictures along the path that a method had are lost.
     """
-    if not run.path_record.is_file() or not any(METRICS[name].kind == "path" for name in protocol.measurement.metrics):
+    if not run.path_record.is_file() or not any(
+        METRICS[name].kind == "path" for name in protocol.measurement.metrics
+    ):
         return []
     poses = path_poses(run)
-    require_frames({f"{label} along the path": run.path(label) for label in labels if lacks_path(run, label)}, poses)
+    require_frames(
+        {f"{label} along the path": run.path(label) for label in labels if lacks_path(run, label)},
+        poses,
+    )
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), poses)]
     metrics = {name: METRICS[name] for name in protocol.measurement.metrics}
-    costly = sorted(name for name, metric in metrics.items() if isinstance(metric, PathMetric) and metric.scorer.wants_images)
+    costly = sorted(
+        name
+        for name, metric in metrics.items()
+        if isinstance(metric, PathMetric) and metric.scorer.wants_images
+    )
     return [_task(run, label, len(poses), costly) for label in rendered]
 
 
@@ -78,7 +99,8 @@ def read_paths(tasks: Sequence[Task]) -> dict[str, dict[str, Any]]:
     """Read the results of `path_tasks`.
 
     Returns:
-        label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.
+        label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and
+        ``not_computed``, measure -> reason.
     """
     return {task.folder.name: read_json(task.folder / JOB_FILE) for task in tasks}
 
@@ -93,11 +115,19 @@ def _task(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Ta
         "code": path_code(costly),
     }
     make = partial(_score, run, label, costly)
-    return Task(name=f"path of {label}", folder=run.path_scores(label), inputs=inputs, make=make, kind="path score")
+    return Task(
+        name=f"path of {label}",
+        folder=run.path_scores(label),
+        inputs=inputs,
+        make=make,
+        kind="path score",
+    )
 
 
 def path_code(names: Collection[str]) -> str:
-    """Hash of the code that measures a camera path: one pass over it measures all that it has, and what is named of the rest."""
+    """Hash of the code that measures a camera path: one pass over it measures all that it has, and
+    what is named of the rest.
+    """
     modules = [module for metric in measured_on_path(names) for module in metric.modules]
     return code_of(PATH_SCORES, PathMetric.__module__, *modules)
 
@@ -105,12 +135,28 @@ def path_code(names: Collection[str]) -> str:
 def _score(run: RunFolder, label: str, costly: Sequence[str], _folder: Path) -> dict[str, Any]:
     scores = score_path(_poses(run, label), metrics=costly)
     values = [(name, -1 if pose is None else pose, value) for name, pose, value in scores.values]
-    return {"values": values, "not_computed": scores.not_computed, "rows": list(scores.rows), "n_switches": scores.n_switches}
+    return {
+        "values": values,
+        "not_computed": scores.not_computed,
+        "rows": list(scores.rows),
+        "n_switches": scores.n_switches,
+    }
 
 
 def _poses(run: RunFolder, label: str) -> Iterator[PathPose]:
     record = read_json(run.path_record)
-    for index, (values, sources) in enumerate(zip(record["cameras"], record["sources"], strict=True)):
+    for index, (values, sources) in enumerate(
+        zip(record["cameras"], record["sources"], strict=True)
+    ):
         camera = Camera.from_json(f"path{index:04d}", values)
-        depth = read_path_depth(run.path_depth, index) if pose_file(run.path_depth, index).is_file() else None
-        yield PathPose(camera, read_image(frame_path(run.path(label), index)), depth, sources)
+        depth = (
+            read_path_depth(run.path_depth, index)
+            if pose_file(run.path_depth, index).is_file()
+            else None
+        )
+        yield PathPose(
+            camera=camera,
+            image=read_image(frame_path(run.path(label), index)),
+            depth=depth,
+            sources=sources,
+        )

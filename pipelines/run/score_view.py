@@ -1,4 +1,6 @@
-"""Scores of the methods in one view: a task per metric, measured together, so that frames are decoded once."""
+"""Scores of the methods in one view: a task per metric, measured together, so that frames are
+decoded once.
+"""
 
 import hashlib
 from collections import defaultdict
@@ -45,25 +47,38 @@ class ScoreTask(Task):
 
 
 def score_tasks(
-    run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
+    run: RunFolder,
+    protocol: Protocol,
+    coverage: Coverage,
+    labels: Sequence[str],
+    view: str,
+    device: str = "cpu",
 ) -> list[ScoreTask]:
     """Return what measures some methods in one view.
 
     Values are stale when a frame changes, or the code of their metric.
 
     Reading:
-        Metrics with one scorer are measured in one pass and kept one by one, so that adding one measures it alone. Of what is on
-        a screen no question is asked: that pictures are late and repeated is what its row measures.
+        Metrics with one scorer are measured in one pass and kept one by one, so that adding one
+        measures it alone. Of what is on a screen no question is asked: that pictures are late and
+        repeated is what its row measures.
     """
     measurement = protocol.measurement
     options = metric_options(measurement, device)
     common: dict[str, Any] = {
         "truth": digest_frames(run.truth(view), coverage.numbers),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.numbers),
-        "measurement": [str(value) for name, value in vars(measurement).items() if name not in ("metrics", "as_")],
+        "measurement": [
+            str(value)
+            for name, value in vars(measurement).items()
+            if name not in ("metrics", "as_")
+        ],
         "as": measurement.as_,
     }
-    metrics = {metric.name: _metric_inputs(metric, options) for metric in scored_by_view(measurement.metrics)}
+    metrics = {
+        metric.name: _metric_inputs(metric, options)
+        for metric in scored_by_view(measurement.metrics)
+    }
     parts = metrics | {CHECKS: {"code": checks_code()}}
     stretches = {label: ranges for label in labels if (ranges := coverage.stretches(label, view))}
     together = partial(_score_view, run, view, stretches, protocol, options)
@@ -92,7 +107,10 @@ def score_tasks(
 
 
 def _metric_inputs(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
-    """Return what one metric depends on next to the frames and the measurement; the CPU is not named."""
+    """Return what one metric depends on next to the frames and the measurement.
+
+    The CPU is not named.
+    """
     weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
     elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
     return {"code": metric_code(metric)} | weights | elsewhere
@@ -118,7 +136,8 @@ def _score_view(
     tasks: Sequence[ScoreTask],
 ) -> Iterator[tuple[ScoreTask, Mapping[str, Any]]]:
     """Measure what is asked for; methods with the same frames and metrics side by side."""
-    _core.forget_idle()  # of what was rendered in this process: at 1352 x 1014 two thirds of a gigabyte
+    # of what was rendered in this process: at 1352 x 1014 two thirds of a gigabyte
+    _core.forget_idle()
     by_label: dict[str, dict[str, ScoreTask]] = defaultdict(dict)
     for task in tasks:
         by_label[task.label][task.metric] = task
@@ -132,11 +151,17 @@ def _score_view(
             scores = _score_methods(run, view, folders, ranges, metrics, protocol, options)
         for label, of_method in zip(labels, scores, strict=True):
             for metric in metrics:
-                parts = [part for part in METRICS[metric].pooling(options).parts if part not in METRICS]
+                parts = [
+                    part for part in METRICS[metric].pooling(options).parts if part not in METRICS
+                ]
                 yield by_label[label][metric], vars(of_method.of(metric, parts))
     unchecked = [label for label, of_label in by_label.items() if CHECKS in of_label]
     truth, numbers = frame_reader(run.truth(view)), protocol.frames.numbers
-    checks = [question.of_view(view, truth, numbers) for question in QUESTIONS.built_in().values() if unchecked]
+    checks = [
+        question.of_view(view, truth, numbers)
+        for question in QUESTIONS.built_in().values()
+        if unchecked
+    ]
     for label in unchecked:  # behind the metrics, which refuse frames of another size
         rendered, longest = frame_reader(run.renders(label, view)), max(stretches[label], key=len)
         findings = [finding for check in checks for finding in check(rendered, longest)]
@@ -161,10 +186,12 @@ def _score_methods(
     protocol: Protocol,
     options: MetricOptions,
 ) -> list[MetricScores]:
-    """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
+    """Some metrics of methods that have the same frames.
 
-    What is measured from frame to frame is measured inside each stretch of consecutive frames; what belongs to the whole
-    sequence only if there is one stretch.
+    Frames are streamed, two instants in memory.
+
+    What is measured from frame to frame is measured inside each stretch of consecutive frames; what
+    belongs to the whole sequence only if there is one stretch.
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
@@ -173,19 +200,27 @@ def _score_methods(
     reasons: list[dict[str, str]] = [{} for _ in folders]
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
-        maps = fit_colour_maps(pair for frames in stretches for pair in _instants(folders, truth, frames, measurement))
+        maps = fit_colour_maps(
+            pair for frames in stretches for pair in _instants(folders, truth, frames, measurement)
+        )
     for frames in stretches:
         instants = _instants(folders, truth, frames, measurement)
         masks = _disoccluded(run.disoccluded(view), frames, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
         scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
         for number, scores in enumerate(scored):
-            placed_values = [(name, WHOLE if index is None else frames[index], value) for name, index, value in scores.values]
-            values[number] += [value for value in placed_values if value[1] != WHOLE or len(stretches) == 1]
+            placed_values = [
+                (name, WHOLE if index is None else frames[index], value)
+                for name, index, value in scores.values
+            ]
+            values[number] += [
+                value for value in placed_values if value[1] != WHOLE or len(stretches) == 1
+            ]
             reasons[number] |= scores.not_computed
     unseen = dict.fromkeys(metrics if len(stretches) == 1 else (), UNSEEN)
     scores_of_methods = []
-    for of_method, absent in zip(values, reasons, strict=True):  # what one stretch lacks another may have
+    # what one stretch lacks another may have
+    for of_method, absent in zip(values, reasons, strict=True):
         names = {name for name, _, _ in of_method}
         lacking = {name: why for name, why in (unseen | absent).items() if name not in names}
         scores_of_methods.append(MetricScores(values=of_method, not_computed=lacking))
@@ -200,23 +235,33 @@ def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptio
     return MetricOptions(**choices, device=device)
 
 
-def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:
+def truth_frames(
+    run: RunFolder, view: str, frames: range, measurement: Measurement
+) -> Iterator[Image8]:
     """Yield the captured frames of a view at the size at which they are measured."""
     for _, truth in _instants((), run.truth(view), frames, measurement):
         yield truth
 
 
 def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Iterator[Mask] | None:
-    """Read the masks of what no source camera sees of the view; None if they have not been computed."""
+    """Read the masks of what no source camera sees of the view.
+
+    None if they have not been computed.
+    """
     if missing_frames(folder, frames):
         return None
-    return (measured_mask(read_image(frame_path(folder, index))[..., 0], measurement) for index in frames)
+    return (
+        measured_mask(read_image(frame_path(folder, index))[..., 0], measurement)
+        for index in frames
+    )
 
 
 def _instants(
     folders: Sequence[Path], truth: Path, frames: range, measurement: Measurement
 ) -> Iterator[tuple[list[Image8], Image8]]:
-    """Yield every method's frame and the true one of each instant, at the size at which they are measured."""
+    """Yield every method's frame and the true one of each instant, at the size at which they are
+    measured.
+    """
     for index in frames:
         paths = [frame_path(folder, index) for folder in (*folders, truth)]
         images = [read_image(path) for path in paths]
@@ -224,8 +269,8 @@ def _instants(
             if image.shape != images[-1].shape:
                 true_size, size = images[-1].shape[1::-1], image.shape[1::-1]
                 raise RenderError(
-                    f"{path}: wanted {true_size[0]} x {true_size[1]} pixels as the truth has, got {size[0]} x {size[1]}; "
-                    "render at the protocol's size"
+                    f"{path}: wanted {true_size[0]} x {true_size[1]} pixels as the truth has, got "
+                    f"{size[0]} x {size[1]}; render at the protocol's size"
                 )
         pictures = [measured_frame(image, measurement) for image in images]
         yield pictures[:-1], pictures[-1]

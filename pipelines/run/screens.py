@@ -1,4 +1,5 @@
-"""Screens of a run: what each method shows at each instant, from the times of its pictures, as a row.
+"""Screens of a run: what each method shows at each instant, from the times of its pictures, as a
+row.
 
 ``stream.json`` has the times and counts for tables.
 """
@@ -43,10 +44,20 @@ def plan_screens(request: ScoreRequest) -> ScorePart:
     records: dict[str, Any] = {}
     lit: dict[str, Mapping[str, range]] = {}
     for label in request.labels:
-        clock = PARTIAL if label in coverage.partial else _clock(run, stream, protocol.views.test, label)
+        clock = (
+            PARTIAL
+            if label in coverage.partial
+            else _clock(run, stream, protocol.views.test, label)
+        )
         screen = clock if isinstance(clock, str) else _screen(protocol, stream, clock)
-        stages = {} if isinstance(clock, str) else {"stages_ms": {stage: 1000 * time for stage, time in clock.items()}}
-        records[label] = stages | ({"absent": screen} if isinstance(screen, str) else screen.record())
+        stages = (
+            {}
+            if isinstance(clock, str)
+            else {"stages_ms": {stage: 1000 * time for stage, time in clock.items()}}
+        )
+        records[label] = stages | (
+            {"absent": screen} if isinstance(screen, str) else screen.record()
+        )
         row = f"{label}{ON_SCREEN}"
         if request.units is not None:
             continue
@@ -59,7 +70,10 @@ def plan_screens(request: ScoreRequest) -> ScorePart:
 
 
 def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Screen) -> range:
-    """Link the displayed frame of each scored instant in the row's folder; return these instants."""
+    """Link the displayed frame of each scored instant in the row's folder.
+
+    Return these instants.
+    """
     start = protocol.frames.start
     links: dict[Path, Path] = {}
     for view in protocol.views.test:
@@ -83,21 +97,33 @@ def _screen(protocol: Protocol, stream: Stream, clock: Clock) -> Screen | str:
         return screen
     seconds = sum(clock.values())
     if stream.policy == "deadline" and seconds > stream.deadline_ms / 1000:
-        return f"no frame in time: one takes {seconds:.3g} s, the deadline is {stream.deadline_ms:g} ms"
-    return f"no frame within the clip: one takes {seconds:.3g} s, the clip {protocol.frames.count / stream.fps:.3g} s"
+        return (
+            f"no frame in time: one takes {seconds:.3g} s, the deadline is "
+            f"{stream.deadline_ms:g} ms"
+        )
+    return (
+        f"no frame within the clip: one takes {seconds:.3g} s, the clip "
+        f"{protocol.frames.count / stream.fps:.3g} s"
+    )
 
 
 def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> Clock | str:
-    """Return the median time of each stage over all views without each view's first frame, as the table of times has it."""
+    """Return the median time of each stage over all views without each view's first frame, as the
+    table of times has it.
+    """
     stated = next((times.ms for times in stream.stated if times.method == label), None)
     if stated is not None:
-        return {f"{STATED} {at}" if len(stated) > 1 else STATED: ms / 1000 for at, ms in enumerate(stated, 1)}
+        return {
+            f"{STATED} {at}" if len(stated) > 1 else STATED: ms / 1000
+            for at, ms in enumerate(stated, 1)
+        }
     files = [run.renders(label, view) / JOB_FILE for view in views]
     records = [read_json(file) for file in files if file.is_file()]
     if not records or "splats" in records[0]["identity"]:
         return UNTIMED
     fits = [record["fit"] for record in records if "fit" in record]
-    spec = known_method(label)  # of an unknown one it is assumed that it looks at depth, and sees nothing of the future
+    # of an unknown one it is assumed that it looks at depth, and sees nothing of the future
+    spec = known_method(label)
     if (spec and not spec.online) or any(fit["look_ahead"] == "sequence" for fit in fits):
         return WHOLE_CLIP
     depth_s = _depth_seconds(run, stream) if spec is None or spec.uses_depth else 0.0
@@ -106,18 +132,25 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
         clock[FIT] = float(np.mean([fit["seconds"] / fit["instants"] for fit in fits]))
     for stage in records[0]["seconds"]:
         seconds_by_view = [record["seconds"][stage] for record in records]
-        clock[stage] = float(np.median(np.concatenate([times[1:] or times for times in seconds_by_view])))
+        clock[stage] = float(
+            np.median(np.concatenate([times[1:] or times for times in seconds_by_view]))
+        )
     return clock
 
 
 def _depth_seconds(run: RunFolder, stream: Stream) -> float:
-    """Time of the depth of all sources of a picture: stated, measured where it is live, none if it was computed before."""
+    """Time of the depth of all sources of a picture: stated, measured where it is live, none if it
+    was computed before.
+    """
     if stream.depth_ms is not None:
         return stream.depth_ms / 1000
     if not run.has_live_depth:
         return 0.0
     if not run.live_depth_record.is_file():
-        raise RenderError(f"{run.live_depth_record}: wanted the time of live depth, got no file; run `ggvs-eval run`")
+        raise RenderError(
+            f"{run.live_depth_record}: wanted the time of live depth, got no file; run `ggvs-eval "
+            f"run`"
+        )
     return float(np.median(read_json(run.live_depth_record)["seconds"]))
 
 
@@ -127,4 +160,7 @@ def _depth_note(run: RunFolder, stream: Stream) -> str:
         return f"{stream.depth_ms:g} ms per frame for the depth of its sources, by the protocol"
     if run.has_live_depth:
         return "with live depth of its sources, measured here"
-    return "without depth, which was precomputed (set its time by depth_ms in [stream] of the protocol)"
+    return (
+        "without depth, which was precomputed (set its time by depth_ms in [stream] of the "
+        "protocol)"
+    )

@@ -1,4 +1,6 @@
-"""Test views that a method has seen: its renders are better than perfect ones, which lack the noise of the captured frames."""
+"""Test views that a method has seen: its renders are better than perfect ones, which lack the noise
+of the captured frames.
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -18,9 +20,14 @@ LEAST_DB = 30.0
 
 
 class SeenViews(OfScores):
-    """The question whether a method has seen a test view, see `find_seen`; it is asked of scores, not of frames."""
+    """The question whether a method has seen a test view, see `find_seen`.
 
-    def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
+    It is asked of scores, not of frames.
+    """
+
+    def of_method(
+        self, method: ScoredMethod, findings: Mapping[str, list[Finding]]
+    ) -> dict[str, list[Finding]]:
         """See `Question`."""
         psnrs_db = method.values.get(COMPARED, {})
         return {
@@ -39,7 +46,9 @@ class SeenViews(OfScores):
 QUESTION = SeenViews()
 
 
-def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str, Any] | None) -> list[Finding]:
+def find_seen_view(
+    view: str, psnrs_db: Collection[float], perfect: Mapping[str, Any] | None
+) -> list[Finding]:
     """Report a view whose renders are better than a perfect one's, see `find_seen`.
 
     Args:
@@ -54,9 +63,11 @@ def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str,
 
 
 def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
-    """Ask the same of frames that need not have been scored, and of a protocol that wants no ceilings.
+    """Ask the same of frames that need not have been scored, and of a protocol that wants no
+    ceilings.
 
-    They are estimated only where renders are so good that they may be above: noise of `LEAST_DB` would be seen by everybody.
+    They are estimated only where renders are so good that they may be above: noise of `LEAST_DB`
+    would be seen by everybody.
     """
     protocol, findings = run.protocol(), []
     measurement = replace(protocol.measurement, metrics=(COMPARED,), ceilings=True)

@@ -1,4 +1,6 @@
-"""Status of a run or a sweep: tasks that are finished, running, failed and missing, from the lists of its stages."""
+"""Status of a run or a sweep: tasks that are finished, running, failed and missing, from the lists
+of its stages.
+"""
 
 import os
 from dataclasses import dataclass
@@ -24,7 +26,8 @@ class StageStatus:
         in_hand: names of tasks that a process is working on.
         failed: why tasks failed when they were last tried, and are not tried again now.
         missing: names of tasks that wait.
-        left_s: estimate of the time that the rest takes, in seconds; None if nothing runs or nothing is done yet.
+        left_s: estimate of the time that the rest takes, in seconds; None if nothing runs or
+            nothing is done yet.
     """
 
     stage: str
@@ -44,21 +47,32 @@ def read_status(root: Path) -> list[StageStatus]:
     """
     lists = _lists(root)
     if not lists:
-        raise ResultsError(f"{root}: wanted a run or a sweep with renders, got neither; start with `ggvs-eval run`")
+        raise ResultsError(
+            f"{root}: wanted a run or a sweep with renders, got neither; start with `ggvs-eval run`"
+        )
     return [_stage_status(task_list, root) for task_list in lists]
 
 
 def describe_status(root: Path) -> str:
-    """Return the same as text: a line per stage, then tasks in hand, failures, and the size of the folder."""
+    """Return the same as text: a line per stage, then tasks in hand, failures, and the size of the
+    folder.
+    """
     lines = []
     for stage in read_status(root):
-        counts = f"{stage.n_done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"
+        counts = (
+            f"{stage.n_done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, "
+            f"{len(stage.missing)} missing"
+        )
         left = "" if stage.left_s is None else f", about {duration(stage.left_s)} left"
         lines.append(f"{stage.stage}: {counts}, {stage.n_bytes / MEBIBYTE:.1f} MiB{left}")
         lines += [f"  running  {name}" for name in stage.in_hand]
         lines += [f"  failed   {failure}" for failure in stage.failed]
         lines += [f"  missing  {name}" for name in stage.missing]
-    parts = [f"{item.name} {_size(item) / MEBIBYTE:.1f}" for item in sorted(root.iterdir()) if item.is_dir()]
+    parts = [
+        f"{item.name} {_size(item) / MEBIBYTE:.1f}"
+        for item in sorted(root.iterdir())
+        if item.is_dir()
+    ]
     return "\n".join([*lines, f"MiB: {', '.join(parts)}"])
 
 
@@ -76,12 +90,25 @@ def _stage_status(task_list: TaskList, root: Path) -> StageStatus:
     for result in task_list.read():
         if result.folder.resolve().is_relative_to(root.resolve()):
             batches.setdefault(result.batch, []).append(result)
-    finished = {folder for folder, batch in batches.items() if all(result.is_done() for result in batch)}
-    running = {folder for folder in batches.keys() - finished if any(map(is_in_hand, scratch_folders(folder)))}
+    finished = {
+        folder for folder, batch in batches.items() if all(result.is_done() for result in batch)
+    }
+    running = {
+        folder
+        for folder in batches.keys() - finished
+        if any(map(is_in_hand, scratch_folders(folder)))
+    }
     waiting = [folder for folder in batches if folder not in finished | running]
-    failures = {folder: failure for folder in waiting if (failure := task_list.failure(batches[folder][0]))}
+    failures = {
+        folder: failure for folder in waiting if (failure := task_list.failure(batches[folder][0]))
+    }
     missing = [folder for folder in waiting if folder not in failures]
-    left = [result for folder in (*running, *missing) for result in batches[folder] if not result.is_done()]
+    left = [
+        result
+        for folder in (*running, *missing)
+        for result in batches[folder]
+        if not result.is_done()
+    ]
     work = estimate(left, [result for folder in finished for result in batches[folder]])
     return StageStatus(
         stage=task_list.stage,

@@ -12,7 +12,15 @@ from ggvs_eval.errors import CameraError, CaptureError, did_you_mean
 from ggvs_eval.finding import RIG, SEVERITY, Finding
 from ggvs_eval.geometry.sight import LEAST_SHOWN, shown_share
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol, packaged_protocols
+from ggvs_eval.protocol import (
+    Frames,
+    Measurement,
+    Protocol,
+    Synthesis,
+    Views,
+    load_protocol,
+    packaged_protocols,
+)
 
 DEMO = "demo"  # what the names of protocols of demo captures begin with
 MOST_VIEWS, MOST_FRAMES = 9, 100
@@ -27,7 +35,8 @@ class Proposal:
     """A protocol for a capture, and why.
 
     Attributes:
-        reasons: of each camera, why it is held out as a test view or stays a source, in the capture's order.
+        reasons: of each camera, why it is held out as a test view or stays a source, in the
+            capture's order.
     """
 
     protocol: Protocol
@@ -44,35 +53,51 @@ def read_doubts(file: Path) -> dict[str, str]:
         Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
     """
     try:
-        findings = [Finding(**fields) for fields in json.loads(file.read_text(encoding="utf-8"))["findings"]]
+        findings = [
+            Finding(**fields) for fields in json.loads(file.read_text(encoding="utf-8"))["findings"]
+        ]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CaptureError(f"{file}: wanted a file of 'ggvs-eval check', got {error!r:.120}; check the capture again") from error
-    doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
+        raise CaptureError(
+            f"{file}: wanted a file of 'ggvs-eval check', got {error!r:.120}; check the capture "
+            f"again"
+        ) from error
+    doubtful = [
+        finding
+        for finding in findings
+        if finding.subject != RIG and finding.verdict in ("warn", "bad")
+    ]
     worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
     return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
 
 
 def suggest_protocol(capture: Capture) -> Protocol:
-    """Return the packaged protocol that fits a capture, or one by rule for a rig of your own; see `propose_protocol`."""
+    """Return the packaged protocol that fits a capture, or one by rule for a rig of your own.
+
+    See `propose_protocol`.
+    """
     return propose_protocol(capture).protocol
 
 
 def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) -> Proposal:
     """Choose the protocol for a capture, and say of every camera why it is held out or not.
 
-    The rule: every second camera in the capture's order is a test view, of more than nine one in each ninth of them; at most 100
-    frames, the capture's own size; K, filters and metrics of its layout's protocol, or DyNeRF's. ``views.chosen_by`` says so.
-    Where the capture names test views itself, as NeRF's split files do, these are taken, seen from the others alone.
-    Passed over are cameras in doubt, whose frames would be a wrong truth, and views of which their sources can show too little;
-    neighbours take their place, and the cameras between them where none is left. Where one camera was carried through the scene
-    (`HAND_HELD`), the nearest places may look elsewhere: sources are chosen by what they see.
+    The rule: every second camera in the capture's order is a test view, of more than nine one in
+    each ninth of them; at most 100 frames, the capture's own size; K, filters and metrics of its
+    layout's protocol, or DyNeRF's. ``views.chosen_by`` says so. Where the capture names test views
+    itself, as NeRF's split files do, these are taken, seen from the others alone. Passed over are
+    cameras in doubt, whose frames would be a wrong truth, and views of which their sources can show
+    too little; neighbours take their place, and the cameras between them where none is left. Where
+    one camera was carried through the scene (`HAND_HELD`), the nearest places may look elsewhere:
+    sources are chosen by what they see.
 
     Args:
         doubts: camera -> what is wrong with it, as `read_doubts` gives it.
     """
     doubts = doubts or {}
     if len(capture.cameras) < FEWEST_CAMERAS:
-        raise CaptureError(f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}; add cameras")
+        raise CaptureError(
+            f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}; add cameras"
+        )
     for name in (DEMO, f"{DEMO}-{capture.layout}", capture.layout):
         if name in packaged_protocols() and _fits(capture, load_protocol(name)):
             protocol = load_protocol(name)
@@ -86,7 +111,9 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
         calibration=None if capture.units_origin == DEMO_NOTES else "compare",
     )
     views, reasons = (
-        _own_split(capture, training, doubts) if capture.test_views and training else _views(capture, synthesis, doubts)
+        _own_split(capture, training, doubts)
+        if capture.test_views and training
+        else _views(capture, synthesis, doubts)
     )
     protocol = replace(
         base,
@@ -101,7 +128,9 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
 
 
 def published_protocols(capture: Capture) -> list[Protocol]:
-    """Packaged protocols of published tables whose test views, frames and shape of images a capture has."""
+    """Packaged protocols of published tables whose test views, frames and shape of images a capture
+    has.
+    """
     width, height = capture.cameras[0].size
     loaded = [load_protocol(name) for name in packaged_protocols()]
     return [
@@ -112,33 +141,55 @@ def published_protocols(capture: Capture) -> list[Protocol]:
         and _is_of_scene(protocol, capture.scene)
         and protocol.frames.numbers.stop <= capture.n_frames
         and (protocol.frames.count > 1 or capture.n_frames == 1)
-        and abs(protocol.synthesis.width * height / (protocol.synthesis.height * width) - 1) <= SAME_SHAPE
+        and abs(protocol.synthesis.width * height / (protocol.synthesis.height * width) - 1)
+        <= SAME_SHAPE
     ]
 
 
 def _is_of_scene(protocol: Protocol, scene: str) -> bool:
-    """Return whether a packaged protocol can be one of a scene: it lists that, is named after it, or is of all scenes."""
+    """Return whether a packaged protocol can be one of a scene: it lists that, is named after it,
+    or is of all scenes.
+    """
     listed = [name for entry in protocol.views.of_scenes for name in entry.scenes]
-    return scene in listed if listed else not protocol.name.startswith("llff") or protocol.name.endswith(f"_{scene}")
+    return (
+        scene in listed
+        if listed
+        else not protocol.name.startswith("llff") or protocol.name.endswith(f"_{scene}")
+    )
 
 
-def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str, str]) -> dict[str, str]:
+def _packaged_reasons(
+    capture: Capture, protocol: Protocol, doubts: Mapping[str, str]
+) -> dict[str, str]:
     reason = f"not a test view of the packaged protocol {protocol.name}"
-    reasons = {name: protocol.views.chosen_by if name in protocol.views.test else reason for name in capture.camera_names}
-    return {name: f"{reason}; but {doubts[name]}" if name in doubts else reason for name, reason in reasons.items()}
-
-
-def _own_split(capture: Capture, training: Sequence[str], doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
-    """Return the test views that the capture itself names, seen from its training views alone; and the reasons."""
     reasons = {
-        name: f"{'held out' if name in capture.test_views else 'stays a source'}: the capture's own split"
-        + (f"; but {doubts[name]}" if name in doubts else "")
+        name: protocol.views.chosen_by if name in protocol.views.test else reason
+        for name in capture.camera_names
+    }
+    return {
+        name: f"{reason}; but {doubts[name]}" if name in doubts else reason
+        for name, reason in reasons.items()
+    }
+
+
+def _own_split(
+    capture: Capture, training: Sequence[str], doubts: Mapping[str, str]
+) -> tuple[Views, dict[str, str]]:
+    """Return the test views that the capture itself names, seen from its training views alone.
+
+    And the reasons.
+    """
+    reasons = {
+        name: f"{'held out' if name in capture.test_views else 'stays a source'}: the capture's "
+        f"own split" + (f"; but {doubts[name]}" if name in doubts else "")
         for name in capture.camera_names
     }
     return Views(capture.test_views, "the capture's own split", sources=tuple(training)), reasons
 
 
-def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts: Mapping[str, str]) -> Proposal:
+def hold_out(
+    proposal: Proposal, capture: Capture, names: Sequence[str], doubts: Mapping[str, str]
+) -> Proposal:
     """Return the proposal with test views that the user chose.
 
     Raises:
@@ -146,23 +197,35 @@ def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts:
     """
     if absent := [name for name in names if name not in capture.camera_names]:
         raise CaptureError(
-            f"--test: {capture.path} has no camera {' '.join(absent)}; it has {', '.join(capture.camera_names)}"
-            f"{did_you_mean(absent[0], capture.camera_names)}"
+            f"--test: {capture.path} has no camera {' '.join(absent)}; it has "
+            f"{', '.join(capture.camera_names)}{did_you_mean(absent[0], capture.camera_names)}"
         )
     synthesis = proposal.protocol.synthesis
     synthesis = replace(synthesis, k=min(synthesis.k, len(capture.cameras) - 1))
     reasons = dict.fromkeys(capture.camera_names, "stays a source") | {
-        name: f"held out, as requested: {_classify_view(capture, name, synthesis, doubts)[1]}" for name in names
+        name: f"held out, as requested: {_classify_view(capture, name, synthesis, doubts)[1]}"
+        for name in names
     }
-    protocol = replace(proposal.protocol, views=Views(tuple(names), "chosen by the user"), synthesis=synthesis)
+    protocol = replace(
+        proposal.protocol, views=Views(tuple(names), "chosen by the user"), synthesis=synthesis
+    )
     return Proposal(replace(protocol, name=f"{capture.scene}, {', '.join(names)}"), reasons)
 
 
-def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
-    """Return every second camera that can serve, else the others that can, else every second one; and the reasons."""
+def _views(
+    capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]
+) -> tuple[Views, dict[str, str]]:
+    """Return every second camera that can serve, else the others that can, else every second one.
+
+    And the reasons.
+    """
     names = capture.camera_names
     few = len(names[1::2]) <= MOST_VIEWS
-    rule = "every second camera, at most nine" if few else f"nine of {len(names)} cameras, spread evenly"
+    rule = (
+        "every second camera, at most nine"
+        if few
+        else f"nine of {len(names)} cameras, spread evenly"
+    )
     reason = "every second camera is held out, at most nine" if few else f"{rule}, are held out"
     reasons = dict.fromkeys(names, f"stays a source: {reason}")
     for candidates in (names[1::2], names[::2]):
@@ -181,18 +244,29 @@ def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) ->
         test = [stretch[0] for stretch in _stretches(names[1::2])]
         reasons |= dict.fromkeys(test, "held out: by rule, although no camera is well covered")
         return Views(tuple(test), f"by rule: {rule}"), reasons
-    without = "" if len(test) == len(stretches) else ", without those in doubt and those that the other cameras hardly show"
+    without = (
+        ""
+        if len(test) == len(stretches)
+        else ", without those in doubt and those that the other cameras hardly show"
+    )
     return Views(tuple(test), f"by rule: {rule}{without}"), reasons
 
 
 def _stretches(names: Sequence[str]) -> list[list[str]]:
-    """Divide cameras into at most nine neighbourhoods of equal size, each from its middle outwards."""
+    """Divide cameras into at most nine neighbourhoods of equal size, each from its middle
+    outwards.
+    """
     count = min(len(names), MOST_VIEWS)
     bounds = [len(names) * n // count for n in range(count + 1)]
-    return [[names[i] for i in sorted(range(a, b), key=lambda i: abs(i - (a + b - 1) // 2))] for a, b in pairwise(bounds)]
+    return [
+        [names[i] for i in sorted(range(a, b), key=lambda i: abs(i - (a + b - 1) // 2))]
+        for a, b in pairwise(bounds)
+    ]
 
 
-def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[bool, str]:
+def _classify_view(
+    capture: Capture, name: str, synthesis: Synthesis, doubts: Mapping[str, str]
+) -> tuple[bool, str]:
     """Aptitude of a camera as a test view, with the reason."""
     if name in doubts:
         return False, f"the check says {doubts[name]}"
@@ -203,7 +277,9 @@ def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Ma
         return False, str(error)
     sources = [source.camera for source in choices]
     share = shown_share(target, sources, capture.cameras, capture.sensed_cameras)
-    coverage = f"{', '.join(camera.name for camera in sources)} cover {100 * share:.0f} % of its view"
+    coverage = (
+        f"{', '.join(camera.name for camera in sources)} cover {100 * share:.0f} % of its view"
+    )
     return share >= LEAST_SHOWN, coverage
 
 
@@ -218,7 +294,10 @@ def _measured_like(base: Protocol, capture: Capture) -> Measurement:
 
 
 def _fits(capture: Capture, protocol: Protocol) -> bool:
-    """Return whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
+    """Return whether a packaged protocol was made for this capture.
+
+    The demos' are for demo captures alone.
+    """
     if protocol.name.startswith(DEMO) != (capture.units_origin == DEMO_NOTES):
         return False
     enough = protocol.frames.numbers.stop <= capture.n_frames

@@ -16,7 +16,8 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow
 
-# Folder in the sweep, "" for the sweep's own if there is one capture -> what its variants start from.
+# Folder in the sweep, "" for the sweep's own if there is one capture -> what its variants start
+# from.
 Captures = Mapping[str, tuple[Capture, Protocol]]
 
 
@@ -60,32 +61,56 @@ def sweep_cells(
     """Return the runs of a sweep, and its rows that cannot be computed: title -> reason.
 
     Args:
-        shared: folder of the frames and the depth that all runs use; that of their capture in the sweep where None.
+        shared: folder of the frames and the depth that all runs use; that of their capture in the
+            sweep where None.
     """
     names = [capture.path.resolve().name for capture, _ in captures.values()]
     absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, names, networks))}
     if all(row.title in absent for row in sweep.row):
-        raise ProtocolError(f"sweep {sweep.name}: no row has a method of this version; known are {', '.join(METHODS)}")
+        raise ProtocolError(
+            f"sweep {sweep.name}: no row has a method of this version; known are "
+            f"{', '.join(METHODS)}"
+        )
     cells = []
     for folder, (capture, protocol) in captures.items():
         cameras, common = len(capture.cameras), shared or root / folder
         absent |= {
-            f"K = {k}": f"the capture has {cameras} cameras, including the synthesised one" for k in sweep.k if k >= cameras
+            f"K = {k}": f"the capture has {cameras} cameras, including the synthesised one"
+            for k in sweep.k
+            if k >= cameras
         }
         for variant, variant_protocol in sweep.protocols(protocol, cameras).items():
-            rows = tuple(row for row in sweep.rows(variant_protocol, protocol) if row.title not in absent)
+            rows = tuple(
+                row for row in sweep.rows(variant_protocol, protocol) if row.title not in absent
+            )
             if rows:
-                blank = RunRequest(root / folder / variant, capture, variant_protocol, (), depth, networks, common)
+                blank = RunRequest(
+                    root=root / folder / variant,
+                    capture=capture,
+                    protocol=variant_protocol,
+                    labels=(),
+                    depth=depth,
+                    networks=networks,
+                    shared=common,
+                )
                 named = replace(blank, name=f"{folder}/{variant}" if folder else variant)
-                cells.append(Cell(folder, variant, _with_rows(named, rows), rows))
+                cells.append(
+                    Cell(folder=folder, variant=variant, request=_with_rows(named, rows), rows=rows)
+                )
     return cells, absent
 
 
 def shard_cells(cells: Sequence[Cell], shard: Shard) -> list[Cell]:
-    """Return the runs that a shard takes part in, with its units of each; one that only prepares has none of any."""
+    """Return the runs that a shard takes part in, with its units of each.
+
+    One that only prepares has none of any.
+    """
     if shard.is_whole:
         return list(cells)
-    share = {cell.name: [unit for owner, unit in shard.pick(units_of(cells)) if owner is cell] for cell in cells}
+    share = {
+        cell.name: [unit for owner, unit in shard.pick(units_of(cells)) if owner is cell]
+        for cell in cells
+    }
     return [
         replace(cell, request=replace(cell.request, views=share[cell.name]))
         for cell in cells
@@ -99,7 +124,9 @@ def units_of(cells: Sequence[Cell]) -> list[tuple[Cell, str]]:
 
 
 def _with_rows(request: RunRequest, rows: Sequence[SweepRow]) -> RunRequest:
-    """The run with the methods of its rows: those that are rendered here, and what others rendered or fitted to its capture."""
+    """The run with the methods of its rows: those that are rendered here, and what others rendered
+    or fitted to its capture.
+    """
     name = request.capture.path.resolve().name
     splats = {row.label: path for row in rows if (path := row.splats_of(name)) is not None}
     return replace(
@@ -111,7 +138,10 @@ def _with_rows(request: RunRequest, rows: Sequence[SweepRow]) -> RunRequest:
 
 
 def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -> str | None:
-    """Return why a row cannot be computed; None if it can, as far as is known before it is tried."""
+    """Return why a row cannot be computed.
+
+    None if it can, as far as is known before it is tried.
+    """
     label = row.label
     if row.path is not None and len(captures) > 1 and CAPTURE not in row.path:
         return f"{row.path}: wanted {CAPTURE} in the path, got none, with {len(captures)} captures"

@@ -1,4 +1,6 @@
-"""The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval run` without a capture."""
+"""The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval
+run` without a capture.
+"""
 
 import atexit
 import shutil
@@ -35,12 +37,14 @@ from ggvs_eval.tasks.task import Result
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 FIRST_FRAMES = 8  # of the main room, on the first page
-PAGE_EVERY_S = 90.0  # at most, after that of the whole main room: each page costs what a small room does
-# Seconds until that page, and of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
+# at most, after that of the whole main room: each page costs what a small room does
+PAGE_EVERY_S = 90.0
+# Seconds until that page, and of evaluating each room by the usual methods, and over K, times the
+# cores: at `pace` 1.
 FIRST_CORE_SECONDS = 160.0
 CORE_SECONDS = {MAIN: 600.0, "demo-enerf-outdoor": 90.0, "demo-d3dmv": 320.0, K_PROTOCOL: 210.0}
-# What is evaluated where no methods are named: in the main room also an opponent that readers know, in the smallest one all that
-# the paper compares itself with.
+# What is evaluated where no methods are named: in the main room also an opponent that readers know,
+# in the smallest one all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,
     "demo-d3dmv": (*FEW[:2], "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", FEW[2]),
@@ -89,20 +93,34 @@ def demo_plans(
 ) -> Iterator[RunPlan | SweepPlan]:
     """Plan the run of every demo room as soon as it is unpacked, and the main one's sweep over K.
 
-    Learned baselines take longer than all the rest: they come last, by a second plan of the same run.
+    Learned baselines take longer than all the rest: they come last, by a second plan of the same
+    run.
 
     Args:
-        root: run folder of the main room; the others' are next to it, and each capture next to its run.
+        root: run folder of the main room; the others' are next to it, and each capture next to its
+            run.
         labels: name of a room -> its methods, see `room_labels`.
         unpack: gives the capture of a folder and a room's name.
         rooms: by the names of their protocols.
-        in_stages: plan learned baselines apart; otherwise each run has one plan, which counts all that is left of it.
+        in_stages: plan learned baselines apart; otherwise each run has one plan, which counts all
+            that is left of it.
     """
     sweep, last = k_sweep(labels[MAIN]), []
     for name in rooms:
         place = demo_root(root, name)
-        capture, shared = unpack(capture_beside(place), name), root if name == MAIN and sweep.row else None
-        request = RunRequest(place, capture, load_protocol(name), labels[name], depth, networks, shared)
+        capture, shared = (
+            unpack(capture_beside(place), name),
+            root if name == MAIN and sweep.row else None,
+        )
+        request = RunRequest(
+            root=place,
+            capture=capture,
+            protocol=load_protocol(name),
+            labels=labels[name],
+            depth=depth,
+            networks=networks,
+            shared=shared,
+        )
         early = [label for label in labels[name] if split_label(label)[0] not in LEARNED_BASELINES]
         if in_stages and 0 < len(early) < len(labels[name]):
             last.append(request)
@@ -110,21 +128,32 @@ def demo_plans(
         yield plan_run(request)
     if sweep.row:
         main = unpack(capture_beside(root), MAIN)
-        yield plan_cells(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks, shared=root)
+        yield plan_cells(
+            k_root(root),
+            {"": (main, load_protocol(K_PROTOCOL))},
+            sweep,
+            depth,
+            networks,
+            shared=root,
+        )
     yield from map(plan_run, last)
 
 
 @kept_workers()
 def evaluate_demos(
-    planned: Iterable[RunPlan | SweepPlan], workers: Workers, show: Callable[[Path], None] = lambda _: None
+    planned: Iterable[RunPlan | SweepPlan],
+    workers: Workers,
+    show: Callable[[Path], None] = lambda _: None,
 ) -> Path:
     """Evaluate every demo room, the main one also over K; a second call does only what is missing.
 
-    The page is there as soon as the first frames of the first room are evaluated, and grows with every further run.
+    The page is there as soon as the first frames of the first room are evaluated, and grows with
+    every further run.
 
     Args:
         planned: see `demo_plans`; each is made when the one before is done.
-        show: is called with the page when it has grown, at most every `PAGE_EVERY_S`, except for the last time.
+        show: is called with the page when it has grown, at most every `PAGE_EVERY_S`, except for
+            the last time.
 
     Returns:
         The page of all rooms, in the main room's run folder.
@@ -146,7 +175,11 @@ def evaluate_demos(
             failures, tables = result.failures, [] if result.table.empty else [plan.root]
             continue
         left = count_work([plan], plan.run.root)
-        if not roots and left.count("depth", "checked depth") and plan.protocol.frames.count > FIRST_FRAMES:
+        if (
+            not roots
+            and left.count("depth", "checked depth")
+            and plan.protocol.frames.count > FIRST_FRAMES
+        ):
             show(show_first_frames(plan, workers))
         measure(plan, workers)
         shutil.rmtree(first_root(plan.run.root), ignore_errors=True)
@@ -156,22 +189,33 @@ def evaluate_demos(
         drop_found_depth(plans)
     page = report(roots, tables_of=tables, jobs=as_engine(workers).jobs)
     if failures:
-        raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same command to retry")
+        raise RenderError(
+            f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same "
+            f"command to retry"
+        )
     return page
 
 
 def show_first_frames(plan: RunPlan, workers: Workers) -> Path:
-    """Evaluate the first frames of a run's views, and write the page of these in its place, which says so.
+    """Evaluate the first frames of a run's views, and write the page of these in its place, which
+    says so.
 
-    Captured frames and depth are the run's own. Renders and scores are a run of their own in its folder, which goes when all
-    frames are evaluated.
+    Captured frames and depth are the run's own. Renders and scores are a run of their own in its
+    folder, which goes when all frames are evaluated.
     """
     protocol, count = plan.protocol, plan.protocol.frames.count
-    title = f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being evaluated"
+    title = (
+        f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being "
+        f"evaluated"
+    )
     frames = replace(protocol.frames, count=FIRST_FRAMES)
-    first = replace(protocol, dataset=title, frames=frames, path=replace(protocol.path, poses=0, cameras=()))
+    first = replace(
+        protocol, dataset=title, frames=frames, path=replace(protocol.path, poses=0, cameras=())
+    )
     root = first_root(plan.run.root)
-    measure(plan_run(replace(plan.request, root=root, protocol=first, shared=plan.shared_root)), workers)
+    measure(
+        plan_run(replace(plan.request, root=root, protocol=first, shared=plan.shared_root)), workers
+    )
     return report([root], plan.run.report, with_figures=False)
 
 
@@ -187,7 +231,8 @@ def run_demos(
     engine: Engine,
     dry_run: bool = False,
 ) -> None:
-    """Evaluate the demo rooms and print what is left of each, how long all take, and where the page is.
+    """Evaluate the demo rooms and print what is left of each, how long all take, and where the page
+    is.
 
     Args:
         root: run folder of the main room.
@@ -206,7 +251,11 @@ def run_demos(
         return plan
 
     def show(page: Path) -> None:
-        print(f"{page} can be opened; it grows with the frames and runs that follow", file=sys.stderr, flush=True)
+        print(
+            f"{page} can be opened; it grows with the frames and runs that follow",
+            file=sys.stderr,
+            flush=True,
+        )
 
     announced = map(announce, planned)
     if dry_run:
@@ -217,26 +266,43 @@ def run_demos(
     print(evaluate_demos(announced, engine, show))
 
 
-def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int, probe: Callable[[], float] = pace) -> str:
-    """State in one line the time of the demo and of its first page; empty once its rooms are evaluated.
+def describe_outlook(
+    root: Path, labels: Mapping[str, Sequence[str]], jobs: int, probe: Callable[[], float] = pace
+) -> str:
+    """State in one line the time of the demo and of its first page.
+
+    Empty once its rooms are evaluated.
 
     Args:
         labels: name of a room -> its methods.
         probe: seconds that work takes here for each second of `CORE_SECONDS`.
     """
     page = RunFolder(root).report / "index.html"
-    if (page.is_file() and not first_root(root).exists()) or any(name not in CORE_SECONDS for name in labels):
+    if (page.is_file() and not first_root(root).exists()) or any(
+        name not in CORE_SECONDS for name in labels
+    ):
         return ""
     rooms = [Result(name, root, cost_s=seconds) for name, seconds in CORE_SECONDS.items()]
     first_page = Result("first page", root, cost_s=FIRST_CORE_SECONDS)
-    total, first = (estimate(results, pace=probe).seconds / jobs for results in (rooms, [first_page]))
-    return f"demo: about {duration(total)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows"
+    total, first = (
+        estimate(results, pace=probe).seconds / jobs for results in (rooms, [first_page])
+    )
+    return (
+        f"demo: about {duration(total)} in all on {jobs} cores; in about {duration(first)} open "
+        f"{page}, which grows"
+    )
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Return the name of a demo room -> its methods: rooms have their own lists if these are the default ones."""
+    """Return the name of a demo room -> its methods: rooms have their own lists if these are the
+    default ones.
+    """
     usual = tuple(labels) == usual_methods()
-    return {MAIN: (*labels, "fwd"), **SMALL_ROOMS_METHODS} if usual else {name: labels for name in ROOMS}
+    return (
+        {MAIN: (*labels, "fwd"), **SMALL_ROOMS_METHODS}
+        if usual
+        else {name: labels for name in ROOMS}
+    )
 
 
 def demo_root(root: Path, name: str) -> Path:

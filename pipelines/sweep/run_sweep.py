@@ -1,4 +1,6 @@
-"""Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of all of them."""
+"""Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of
+all of them.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +34,8 @@ class SweepResult:
     """Result of a sweep.
 
     Attributes:
-        table: one line per variant and row: mean of each metric, and seconds per frame; of several captures per capture too.
+        table: one line per variant and row: mean of each metric, and seconds per frame; of several
+            captures per capture too.
         not_computed: title of a row -> reason.
         runs: the run folder of each variant, ``capture/variant`` where there are several captures.
         failures: what failed; its rows are not in the table, and the same call tries it again.
@@ -44,12 +47,16 @@ class SweepResult:
     failures: tuple[Failure, ...] = ()
 
     def with_lines(self, lines: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with further lines of its captures, each below those of its capture, and their means."""
+        """Return the table with further lines of its captures, each below those of its capture, and
+        their means.
+        """
         if "capture" not in self.table.index.names:
             return pd.concat([self.table, lines.droplevel("capture")])
         together = pd.concat([self.table.drop("mean", level="capture", errors="ignore"), lines])
         names = together.index.unique("capture")
-        by_capture = [together[together.index.get_level_values("capture") == name] for name in names]
+        by_capture = [
+            together[together.index.get_level_values("capture") == name] for name in names
+        ]
         return _with_means(pd.concat(by_capture), len({run.partition("/")[0] for run in self.runs}))
 
 
@@ -85,24 +92,39 @@ def plan_cells(
     """Plan every row under every variant; nothing is written.
 
     Args:
-        captures: name of the capture's folder in it -> the capture, and what its variants start from; a single one needs no name.
+        captures: name of the capture's folder in it -> the capture, and what its variants start
+            from; a single one needs no name.
         depth: how depth is found, see `DepthRunOptions`.
         shard: which units are rendered and scored.
-        shared: folder whose frames and depth all runs use; by default those of one capture have them in common, and fits, so that
-            K = 2 finds what K = 6 has computed.
+        shared: folder whose frames and depth all runs use; by default those of one capture have
+            them in common, and fits, so that K = 2 finds what K = 6 has computed.
     """
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
-        raise ProtocolError(f"{root}: wanted captures with one protocol, got {len(kinds)}; choose one with --protocol")
+        raise ProtocolError(
+            f"{root}: wanted captures with one protocol, got {len(kinds)}; choose one with "
+            f"--protocol"
+        )
     cells, absent = sweep_cells(root, captures, sweep, depth, networks, shared)
     failures: list[Failure] = []
-    tried = [attempt(f"prepare {cell.name}", partial(plan_run, cell.request), failures) for cell in shard_cells(cells, shard)]
-    return SweepPlan(root, tuple(cells), absent, shard, tuple(plan for plan in tried if plan is not None), tuple(failures))
+    tried = [
+        attempt(f"prepare {cell.name}", partial(plan_run, cell.request), failures)
+        for cell in shard_cells(cells, shard)
+    ]
+    return SweepPlan(
+        root=root,
+        cells=tuple(cells),
+        absent=absent,
+        shard=shard,
+        plans=tuple(plan for plan in tried if plan is not None),
+        failures=tuple(failures),
+    )
 
 
 @kept_workers()
 def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
-    """Evaluate a plan; existing results are not computed again, and a failure does not stop the rest.
+    """Evaluate a plan; existing results are not computed again, and a failure does not stop the
+    rest.
 
     Of several captures the means are shown with the single tables.
     """
@@ -113,18 +135,27 @@ def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
     parts = []
     for cell in planned.cells if planned.shard.is_whole else ():
         if cell.name in scores_by_name:
-            parts.append(stages.attempt(f"table of {cell.name}", partial(_lines, cell, scores_by_name[cell.name])))
+            parts.append(
+                stages.attempt(
+                    f"table of {cell.name}", partial(_lines, cell, scores_by_name[cell.name])
+                )
+            )
     parts = [part for part in parts if part is not None]
     n_captures = len({cell.folder for cell in planned.cells})
     table = _with_means(pd.concat(parts), n_captures) if parts else pd.DataFrame()
     if parts:
         _write_table(table, planned.root)
     runs = {cell.name: cell.request.root for cell in planned.cells}
-    return SweepResult(table, planned.absent, runs, tuple(stages.failures))
+    return SweepResult(
+        table=table, not_computed=planned.absent, runs=runs, failures=tuple(stages.failures)
+    )
 
 
 def _with_means(table: pd.DataFrame, n_captures: int) -> pd.DataFrame:
-    """Return the table with the means over all captures, of lines that each of them has; of one capture, without its name."""
+    """Return the table with the means over all captures, of lines that each of them has.
+
+    Of one capture, without its name.
+    """
     if n_captures == 1:
         return table.droplevel("capture")
     lines = table.groupby(level=["variant", "method"], sort=False)
@@ -137,7 +168,8 @@ def _write_table(table: pd.DataFrame, root: Path) -> None:
     file, lines = root / "sweep.csv", table.reset_index()
     with locked(root):
         if file.is_file():
-            lines = _with_lines(pd.read_csv(file, dtype=str), lines)  # as text, so that no digit changes
+            # as text, so that no digit changes
+            lines = _with_lines(pd.read_csv(file, dtype=str), lines)
         with atomic_file(file) as temporary:
             lines.to_csv(temporary, index=False)
 
@@ -146,11 +178,13 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
     """Return a table with more lines, which take the places of those of the same name.
 
     Reading:
-        Where only one of the two names captures, the other's lines have an empty one: their runs are next to those folders.
+        Where only one of the two names captures, the other's lines have an empty one: their runs
+        are next to those folders.
     """
     names = [name for name in LINE_NAMES if name in before or name in lines]
     named = (
-        part.assign(**{name: part.get(name, "") for name in names}).fillna(dict.fromkeys(names, "")) for part in (before, lines)
+        part.assign(**{name: part.get(name, "") for name in names}).fillna(dict.fromkeys(names, ""))
+        for part in (before, lines)
     )
     old, new = (part.set_index(names) for part in named)
     order = [*old.index, *(name for name in new.index if name not in old.index)]
@@ -158,8 +192,14 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
 
 
 def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
-    """Return the rows of one run by their titles, with the time of a frame; what was measured becomes its results."""
-    summary, rows = scores.collect().summary().droplevel("dataset"), [row for row in cell.rows if row.label in scores.labels]
+    """Return the rows of one run by their titles, with the time of a frame.
+
+    What was measured becomes its results.
+    """
+    summary, rows = (
+        scores.collect().summary().droplevel("dataset"),
+        [row for row in cell.rows if row.label in scores.labels],
+    )
     names = cell.run.shown_names
     marks = [(row.title, reduced_mark(names.get(row.label, ""))) for row in rows]
     titles = [title if mark in title else f"{title}{mark}" for title, mark in marks]
@@ -169,14 +209,22 @@ def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
     labels += [f"{labels[at]}{ON_SCREEN}" for at in screens]
     lines = pd.DataFrame([summary.loc[split_label(label)] for label in labels], index=titles)
     lines["s/frame"] = [_seconds_per_frame(cell.run, label) for label in labels]
-    lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=LINE_NAMES)
+    lines.index = pd.MultiIndex.from_product(
+        [[cell.folder], [cell.variant], lines.index], names=LINE_NAMES
+    )
     return lines
 
 
 def _seconds_per_frame(run: RunFolder, label: str) -> float:
-    """Return the median over all frames of all views; nothing is known of frames that others rendered."""
+    """Return the median over all frames of all views.
+
+    Nothing is known of frames that others rendered.
+    """
     if label.endswith(ON_SCREEN) or read_import(run, label) is not None:
         return float("nan")
-    records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]
+    records = [
+        read_json(run.renders(label, view) / JOB_FILE)["seconds"]
+        for view in run.protocol().views.test
+    ]
     seconds = [sum(stages) for record in records for stages in zip(*record.values(), strict=True)]
     return float(np.median(seconds)) if seconds else float("nan")

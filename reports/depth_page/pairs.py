@@ -1,4 +1,6 @@
-"""Pairs of cameras before any stereo: how well matched features keep to their rows once rectified, as numbers and picture."""
+"""Pairs of cameras before any stereo: how well matched features keep to their rows once rectified,
+as numbers and picture.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -15,7 +17,8 @@ from ggvs_eval.geometry.epipolar import Features, match_pair
 from ggvs_eval.geometry.rectification import RectifiedPair, rectify
 from ggvs_eval.geometry.source_views import turn_rad
 
-SLACK_PX = 1.0  # a disparity counts as outside its range only beyond this, the error of a feature's place
+# a disparity counts as outside its range only beyond this, the error of a feature's place
+SLACK_PX = 1.0
 WIDTH_PX = 640  # of a picture
 HEIGHT_PX = 400  # of each half
 GAP_PX = 4
@@ -35,10 +38,12 @@ class PairErrors:
         d_min: smallest disparity that is looked for, pixels.
         d_max: largest.
         matches: number of matched features; 0 where too few agree with each other to say anything.
-        row_px: median distance from the row where a match belongs, pixels; 0 without matches, and so are the next two.
+        row_px: median distance from the row where a match belongs, pixels; 0 without matches, and
+            so are the next two.
         row_high_px: distance that one match in ten exceeds.
         outside: share of matches whose disparity is not looked for.
-        obstacle: why the two cannot be rectified, and nothing above was measured; empty if they can.
+        obstacle: why the two cannot be rectified, and nothing above was measured; empty if they
+            can.
     """
 
     camera: str
@@ -54,17 +59,25 @@ class PairErrors:
     obstacle: str = ""
 
 
-def measure_pair(camera: Camera, partner: Camera, features: Features, partner_features: Features) -> tuple[PairErrors, Array]:
-    """Match two images and see how far their matches miss the common row, and whether their disparities are looked for.
+def measure_pair(
+    camera: Camera, partner: Camera, features: Features, partner_features: Features
+) -> tuple[PairErrors, Array]:
+    """Match two images and see how far their matches miss the common row, and whether their
+    disparities are looked for.
 
-    Matches are chosen without any calibration, by the epipolar geometry that most of them share: a calibration that is wrong
-    cannot choose those that fit it.
+    Matches are chosen without any calibration, by the epipolar geometry that most of them share: a
+    calibration that is wrong cannot choose those that fit it.
 
     Returns:
         The errors, and the matches as pixels of the two images, (M, 2, 2).
     """
     baseline = float(np.linalg.norm(partner.centre - camera.centre))
-    errors = PairErrors(camera.name, partner.name, baseline, turn_rad(camera, partner))
+    errors = PairErrors(
+        camera=camera.name,
+        partner=partner.name,
+        baseline=baseline,
+        angle_rad=turn_rad(camera, partner),
+    )
     uv = np.zeros((0, 2, 2))
     try:
         pair = rectify(camera, partner)
@@ -79,7 +92,10 @@ def measure_pair(camera: Camera, partner: Camera, features: Features, partner_fe
     places = places[np.isfinite(places).all(axis=(1, 2))]
     if not len(places):
         return errors, uv
-    disparity_px, off_px = places[:, 0, 0] - places[:, 1, 0], np.abs(places[:, 0, 1] - places[:, 1, 1])
+    disparity_px, off_px = (
+        places[:, 0, 0] - places[:, 1, 0],
+        np.abs(places[:, 0, 1] - places[:, 1, 1]),
+    )
     outside = (disparity_px < pair.d_min - SLACK_PX) | (disparity_px > pair.d_max + SLACK_PX)
     row_px, row_high_px = np.percentile(off_px, (50, 90))
     errors = replace(
@@ -99,12 +115,18 @@ def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -
         uv: pixels of the two images, (M, 2, 2).
 
     Returns:
-        Pixels of the canvas (pixel centres at halves), (M, 2, 2); not finite where a ray does not meet it.
+        Pixels of the canvas (pixel centres at halves), (M, 2, 2); not finite where a ray does not
+        meet it.
     """
     rotations = (pair.rotation, pair.rotation @ camera.rotation @ partner.rotation.T)
     places = []
-    for seen_by, rotation, pixels in zip((camera, partner), rotations, np.moveaxis(uv, 1, 0), strict=True):
-        ray = np.concatenate([(pixels - seen_by.K[:2, 2]) / seen_by.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
+    for seen_by, rotation, pixels in zip(
+        (camera, partner), rotations, np.moveaxis(uv, 1, 0), strict=True
+    ):
+        ray = np.concatenate(
+            [(pixels - seen_by.K[:2, 2]) / seen_by.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))],
+            axis=1,
+        )
         x, y, z = pair.projection @ rotation @ ray.T
         with np.errstate(divide="ignore", invalid="ignore"):
             places.append(np.where(z > 0, (x / z, y / z), np.nan).T)
@@ -116,7 +138,8 @@ class PairPicture(NamedTuple):
 
     Attributes:
         image: RGB uint8, (H, W, 3).
-        beside: True if the camera is on the left and its partner on the right, False if it is above it.
+        beside: True if the camera is on the left and its partner on the right, False if it is above
+            it.
     """
 
     image: Image8
@@ -124,12 +147,19 @@ class PairPicture(NamedTuple):
 
 
 def pair_picture(
-    pair: RectifiedPair, camera: Camera, partner: Camera, image: Image8, partner_image: Image8, uv: Array
+    pair: RectifiedPair,
+    camera: Camera,
+    partner: Camera,
+    image: Image8,
+    partner_image: Image8,
+    uv: Array,
 ) -> PairPicture:
-    """Put the two rectified images side by side, with lines along their common rows and dots on a few matched features.
+    """Put the two rectified images side by side, with lines along their common rows and dots on a
+    few matched features.
 
-    The canvas of a partner on the left is upside down, that of one above or below is on its side: pictures are turned back.
-    Rows become columns where that takes a quarter turn, and the halves are one above the other.
+    The canvas of a partner on the left is upside down, that of one above or below is on its side:
+    pictures are turned back. Rows become columns where that takes a quarter turn, and the halves
+    are one above the other.
 
     Args:
         image: of the reference, RGB (H, W, 3).
@@ -138,7 +168,10 @@ def pair_picture(
     turns = _turns_upright(pair.rotation[0])
     rows = _span(pair.left_inside | pair.right_inside, axis=1)
     places = on_canvas(pair, camera, partner, _spread(uv))  # (N, 2, 2)
-    sides = ((pair.warp_left(image), pair.left_inside), (pair.warp_right(partner_image), pair.right_inside))
+    sides = (
+        (pair.warp_left(image), pair.left_inside),
+        (pair.warp_right(partner_image), pair.right_inside),
+    )
     columns = [_span(inside, axis=0) for _, inside in sides]
     scale = _scale(turns, rows, columns)
     halves = []
@@ -148,12 +181,18 @@ def pair_picture(
         halves.append(_draw(window, (places[:, side] - corner), scale))
     beside = turns % 2 == 0
     joined = [np.rot90(half, turns) for half in halves]
-    gap = np.full((joined[0].shape[0], GAP_PX, 3) if beside else (GAP_PX, joined[0].shape[1], 3), GREY, np.uint8)
+    gap = np.full(
+        (joined[0].shape[0], GAP_PX, 3) if beside else (GAP_PX, joined[0].shape[1], 3),
+        GREY,
+        np.uint8,
+    )
     return PairPicture(np.concatenate([joined[0], gap, joined[1]], axis=1 if beside else 0), beside)
 
 
 def _turns_upright(along: Array) -> int:
-    """Return the quarter turns, counter-clockwise, that turn a canvas whose x axis points `along` in the camera upright."""
+    """Return the quarter turns, counter-clockwise, that turn a canvas whose x axis points `along`
+    in the camera upright.
+    """
     if abs(along[0]) >= abs(along[1]):
         return 0 if along[0] > 0 else 2
     return 3 if along[1] > 0 else 1

@@ -56,7 +56,12 @@ Pairs = dict[tuple[str, str], tuple[PairErrors, Array]]
 
 
 def write_depth_page(
-    folder: Path, capture: Capture, stored: Sequence[StoredDepth], store: DepthStore, filled_confidence: float, workers: int = 1
+    folder: Path,
+    capture: Capture,
+    stored: Sequence[StoredDepth],
+    store: DepthStore,
+    filled_confidence: float,
+    workers: int = 1,
 ) -> Path:
     """Write the page; a complete one of the same depth is left as it is.
 
@@ -66,17 +71,27 @@ def write_depth_page(
         workers: processes; the page does not depend on it.
     """
     if not stored:
-        raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
+        raise DepthError(
+            f"{folder}: wanted depth to show, got none; prepare a capture with at least one test "
+            f"view"
+        )
     inputs = {
         "code": code_of(__name__),
-        "scene": [capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names],
+        "scene": [
+            capture.scene,
+            capture.units_per_metre,
+            capture.units_origin,
+            capture.camera_names,
+        ],
         "depth": [asdict(maps) for maps in stored],
         "filled_confidence": filled_confidence,
     }
 
     def write(temporary: Path) -> dict[str, Any]:
         with worker_pool(min(workers, len(stored))) as pool:
-            record = examine_depth(pool, temporary / PICTURES, capture, stored, store, filled_confidence)
+            record = examine_depth(
+                pool, temporary / PICTURES, capture, stored, store, filled_confidence
+            )
         summary = summarise(record)
         write_text(temporary / "index.html", render_depth_page(summary))
         write_json(temporary / RECORD, summary)
@@ -89,7 +104,9 @@ def write_depth_page(
 
 
 def summarise(record: DepthRecord) -> dict[str, Any]:
-    """Return what the page shows and the file next to it says: the record, and what looks wrong in it."""
+    """Return what the page shows and the file next to it says: the record, and what looks wrong in
+    it.
+    """
     return {"warnings": find_warnings(record), "notes": find_notes(record), **asdict(record)}
 
 
@@ -99,7 +116,10 @@ def render_depth_page(summary: Mapping[str, Any]) -> str:
 
 
 def depth_section(report: Report) -> SectionContent:
-    """Return a sheet for each run with a depth page; with pictures if the report can name the run's folder."""
+    """Return a sheet for each run with a depth page.
+
+    With pictures if the report can name the run's folder.
+    """
     sheets = []
     for key, run in report.runs.items():
         record = run.folder.root / FOLDER / RECORD
@@ -112,15 +132,23 @@ def depth_section(report: Report) -> SectionContent:
 
 
 def _sheet(summary: Mapping[str, Any], place: str, title: str, pictures: str) -> dict[str, Any]:
-    """What the template reads: the record, and the folder of its pictures, empty if they are elsewhere."""
+    """What the template reads: the record, and the folder of its pictures, empty if they are
+    elsewhere.
+    """
     sheet = {"id": place, "title": title, "comes_first": False, "template": "depth"}
     return {**summary, **sheet, "pictures": pictures, "scales": colour_maps}
 
 
 def examine_depth(
-    pool: Executor, folder: Path, capture: Capture, stored: Sequence[StoredDepth], store: DepthStore, filled_confidence: float
+    pool: Executor,
+    folder: Path,
+    capture: Capture,
+    stored: Sequence[StoredDepth],
+    store: DepthStore,
+    filled_confidence: float,
 ) -> DepthRecord:
-    """Evaluate depth maps and pairs and write the pictures, in three rounds: statistics and features, pairs, pictures.
+    """Evaluate depth maps and pairs and write the pictures, in three rounds: statistics and
+    features, pairs, pictures.
 
     Args:
         capture: as in `write_depth_page`, and so is the rest.
@@ -151,14 +179,18 @@ def examine_depth(
     )
 
 
-def _in_pool(pool: Executor, work: Callable[..., Any], items: Iterable[tuple[Any, ...]], doing: str) -> list[Any]:
+def _in_pool(
+    pool: Executor, work: Callable[..., Any], items: Iterable[tuple[Any, ...]], doing: str
+) -> list[Any]:
     running = [pool.submit(work, *item) for item in items]
     finish_all(pool, running, doing)
     return [future.result() for future in running]
 
 
 def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDepth]) -> Pairs:
-    """Return the errors and matches of every pair, once, whichever of the two the depth was computed of."""
+    """Return the errors and matches of every pair, once, whichever of the two the depth was
+    computed of.
+    """
     frame_of: dict[tuple[str, str], int] = {}
     for maps in stored:
         for partner in maps.job.partner_names:
@@ -203,16 +235,42 @@ def _draw(
     for frame in stored.frames:
         image, depth_map = capture.frame(camera.name, frame), store.read(stored.job.key, frame)
         partner = (nearest, capture.frame(nearest.name, frame)) if nearest else None
-        instants.append(write_instant(folder, stem, frame, camera, image, depth_map, depth_range, filled_confidence, partner))
+        instants.append(
+            write_instant(
+                folder,
+                stem,
+                frame,
+                camera,
+                image,
+                depth_map,
+                depth_range,
+                filled_confidence,
+                partner,
+            )
+        )
     first = stored.frames[0]
-    images = [(partner, capture.frame(partner.name, first)) for partner in partners if partner.name in matches]
-    rectified = write_pairs(folder, stem, camera, capture.frame(camera.name, first), images, matches)
+    images = [
+        (partner, capture.frame(partner.name, first))
+        for partner in partners
+        if partner.name in matches
+    ]
+    rectified = write_pairs(
+        folder, stem, camera, capture.frame(camera.name, first), images, matches
+    )
     again_from = nearest.name if nearest else ""
-    return CameraPictures(stored.job.partner_names, depth_range, again_from, tuple(instants), rectified)
+    return CameraPictures(
+        partners=stored.job.partner_names,
+        depth_range=depth_range,
+        again_from=again_from,
+        instants=tuple(instants),
+        pairs=rectified,
+    )
 
 
 def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
-    """Partners that the camera can be rectified with -> matched pixels of the camera and of it, (M, 2, 2)."""
+    """Partners that the camera can be rectified with -> matched pixels of the camera and of it, (M,
+    2, 2).
+    """
     name, matches = stored.job.camera_name, {}
     for partner in stored.job.partner_names:
         is_first = (name, partner) in pairs  # whichever of the two was measured first
@@ -223,7 +281,9 @@ def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
 
 
 def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float, float]:
-    """Return the depth range of the colours, the same for all instants, so that they can be compared."""
+    """Return the depth range of the colours, the same for all instants, so that they can be
+    compared.
+    """
     of_maps = [of_map for of_map in statistics if of_map.measured]
     nearest = min((of_map.near for of_map in of_maps), default=near)
     farthest = max((of_map.far for of_map in of_maps), default=far)
@@ -232,7 +292,9 @@ def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float
 
 
 def find_warnings(record: DepthRecord) -> list[str]:
-    """Return one or two sentences about each thing that looks wrong, what concerns most of the capture first."""
+    """Return one or two sentences about each thing that looks wrong, what concerns most of the
+    capture first.
+    """
     return [
         *_about_pairs(record.pairs),
         *(text for camera in record.cameras for text in _about_camera(camera)),
@@ -243,12 +305,18 @@ def find_warnings(record: DepthRecord) -> list[str]:
 def find_notes(record: DepthRecord) -> list[str]:
     """Note facts that are not necessarily wrong but good to know."""
     rejected = [pair for pair in record.pairs if pair.obstacle]
-    notes = [f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in rejected]
-    unmeasured = [f"{pair.camera}-{pair.partner}" for pair in record.pairs if not pair.matches and not pair.obstacle]
+    notes = [
+        f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in rejected
+    ]
+    unmeasured = [
+        f"{pair.camera}-{pair.partner}"
+        for pair in record.pairs
+        if not pair.matches and not pair.obstacle
+    ]
     if unmeasured:
         notes.append(
-            f"Of {', '.join(unmeasured)} too few features match to say whether the two are calibrated well: they look from too "
-            "different places, or see little texture."
+            f"Of {', '.join(unmeasured)} too few features match to say whether the two are "
+            "calibrated well: they look from too different places, or see little texture."
         )
     if record.unmatched:
         notes.append(f"No camera is matched with {', '.join(record.unmatched)}.")
@@ -257,20 +325,25 @@ def find_notes(record: DepthRecord) -> list[str]:
 
 def _about_pairs(pairs: Sequence[PairErrors]) -> Iterator[str]:
     matched = [pair for pair in pairs if pair.matches]
-    off = sorted((pair for pair in matched if pair.row_px > MOST_ROW_PX), key=lambda pair: -pair.row_px)
+    off = sorted(
+        (pair for pair in matched if pair.row_px > MOST_ROW_PX), key=lambda pair: -pair.row_px
+    )
     if off:
         listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.row_px:.1f} px" for pair in off)
         yield (
-            f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(matched)} "
-            f"pairs: {listed}. A camera in each is calibrated wrongly or did not film at the same instant; ggvs-eval check shows "
-            "which."
+            f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in "
+            f"{len(off)} of {len(matched)} pairs: {listed}. A camera in each is calibrated wrongly "
+            "or did not film at the same instant; ggvs-eval check shows which."
         )
-    outside = sorted((pair for pair in matched if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside)
+    outside = sorted(
+        (pair for pair in matched if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside
+    )
     if outside:
         listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.outside:.0%}" for pair in outside)
         yield (
-            f"Matched points have disparities that are not looked for in {len(outside)} of {len(matched)} pairs: {listed}. The "
-            "depth range of the capture is too narrow, or these cameras are calibrated wrongly."
+            f"Matched points have disparities that are not looked for in {len(outside)} of "
+            f"{len(matched)} pairs: {listed}. The depth range of the capture is too narrow, or "
+            "these cameras are calibrated wrongly."
         )
 
 
@@ -279,28 +352,35 @@ def _about_camera(camera: CameraRecord) -> Iterator[str]:
         worst = min(statistics, key=lambda of_map: of_map.measured)
         if worst.measured < LEAST_MEASURED:
             yield (
-                f"{camera.label(stored)}: only {worst.measured:.0%} of the pixels have a measured depth at frame "
-                f"{worst.frame}; {worst.filled:.0%} were filled in, {worst.empty:.0%} are empty."
+                f"{camera.label(stored)}: only {worst.measured:.0%} of the pixels have a measured "
+                f"depth at frame {worst.frame}; {worst.filled:.0%} were filled in, "
+                f"{worst.empty:.0%} are empty."
             )
         elif worst.confidence < LEAST_CONFIDENCE:
             yield (
-                f"{camera.label(stored)}: half of the pixels that were measured at frame {worst.frame} have a confidence below "
-                f"{LEAST_CONFIDENCE:g} (median {worst.confidence:.2f}): its partners do not confirm each other."
+                f"{camera.label(stored)}: half of the pixels that were measured at frame "
+                f"{worst.frame} have a confidence below {LEAST_CONFIDENCE:g} (median "
+                f"{worst.confidence:.2f}): its partners do not confirm each other."
             )
         if len(stored.job.partner_names) == 1:
-            yield f"{camera.label(stored)}: matched with {stored.job.partner_names[0]} alone, so that nothing confirms its depth."
+            yield (
+                f"{camera.label(stored)}: matched with {stored.job.partner_names[0]} alone, so "
+                f"that nothing confirms its depth."
+            )
     pictured = [instant.again for instant in camera.pictures.instants if instant.again]
     gains = [gain for again in pictured for gain in again.gain]
     extreme = max(gains, key=lambda gain: abs(np.log(gain)), default=1.0)
     if abs(np.log(extreme)) > np.log(MOST_GAIN):
         yield (
-            f"{camera.name}: its colours differ from those of {camera.pictures.again_from} by a factor of {extreme:.2f}; "
-            "ggvs-eval check compares the exposures of all cameras."
+            f"{camera.name}: its colours differ from those of {camera.pictures.again_from} by a "
+            f"factor of {extreme:.2f}; ggvs-eval check compares the exposures of all cameras."
         )
 
 
 def _about_outliers(record: DepthRecord) -> Iterator[str]:
-    """Yield the cameras whose image, made again through their depth, is far worse than is usual here."""
+    """Yield the cameras whose image, made again through their depth, is far worse than is usual
+    here.
+    """
     worst = []
     for camera in record.cameras:
         errors = [instant.again.error for instant in camera.pictures.instants if instant.again]
@@ -310,6 +390,7 @@ def _about_outliers(record: DepthRecord) -> Iterator[str]:
     for camera, error in worst:
         if error > max(MOST_ERROR * usual, LEAST_ERROR):
             yield (
-                f"{camera.name}: made again from {camera.pictures.again_from} through its depth, its image differs by "
-                f"{error:.1f} of 255 levels, usual here are {usual:.1f}. Its depth is wrong, or one of the two looks different."
+                f"{camera.name}: made again from {camera.pictures.again_from} through its depth, "
+                f"its image differs by {error:.1f} of 255 levels, usual here are {usual:.1f}. Its "
+                "depth is wrong, or one of the two looks different."
             )

@@ -14,7 +14,9 @@ LOSSLESS = 101  # OpenCV's word for WebP without loss
 
 def webp_bytes(image: Image8, quality: int = WEBP_QUALITY) -> bytes:
     """Compress an RGB image for looking at, not for measuring."""
-    _, encoded = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, quality])
+    _, encoded = cv2.imencode(
+        ".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, quality]
+    )
     return encoded.tobytes()
 
 

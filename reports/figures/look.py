@@ -44,7 +44,10 @@ def parse_width(text: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(in|cm|mm|pt)", text)
     inches = float(match[1]) * INCHES[match[2]] if match else 0.0
     if not NARROWEST_IN <= inches <= WIDEST_IN:
-        raise ResultsError(f"width {text!r}: wanted {NARROWEST_IN:g}in to {WIDEST_IN:g}in, in in, cm, mm or pt, such as 3.3in")
+        raise ResultsError(
+            f"width {text!r}: wanted {NARROWEST_IN:g}in to {WIDEST_IN:g}in, in in, cm, mm or pt, "
+            f"such as 3.3in"
+        )
     return inches
 
 
@@ -55,7 +58,9 @@ def parse_row(text: str) -> int | None:
         ResultsError: another text.
     """
     if text != "auto" and not text.isdecimal():
-        raise ResultsError(f"row {text!r}: wanted auto, or the number of an image row from the top, 0 or more")
+        raise ResultsError(
+            f"row {text!r}: wanted auto, or the number of an image row from the top, 0 or more"
+        )
     return None if text == "auto" else int(text)
 
 
@@ -68,12 +73,16 @@ def only_methods(run: MeasuredRun, labels: Sequence[str]) -> MeasuredRun:
     unknown = [label for label in labels if label not in run.pictured]
     if unknown:
         names_text = ", ".join(run.pictured)
-        raise ResultsError(f"{run.folder.root}: no complete renders of {', '.join(map(repr, unknown))}; use one of {names_text}")
+        raise ResultsError(
+            f"{run.folder.root}: no complete renders of {', '.join(map(repr, unknown))}; use one "
+            f"of {names_text}"
+        )
     return replace(run, labels=tuple(dict.fromkeys(labels))) if labels else run
 
 
 def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
-    """Return the label of a method -> its scores in words, as the tables print them: ``PSNR 33.67, LPIPS 0.08``.
+    """Return the label of a method -> its scores in words, as the tables print them: ``PSNR 33.67,
+    LPIPS 0.08``.
 
     Args:
         metrics: which; PSNR and LPIPS, where they were measured, by default.
@@ -85,10 +94,15 @@ def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
     names = metrics or tuple(name for name in USUAL if name in summary)
     absent = [name for name in names if name not in summary]
     if absent:
-        raise ResultsError(f"{run.folder.root}: no {', '.join(absent)}; it has {', '.join(summary.columns)}")
+        raise ResultsError(
+            f"{run.folder.root}: no {', '.join(absent)}; it has {', '.join(summary.columns)}"
+        )
     words = {}
     for keys, line in summary.iterrows():
         _, method, variant = cast(tuple[str, str, str], keys)
-        scores = (f"{name} {format_value(float(line[name]), run.metrics[name].decimals)}" for name in names)
+        scores = (
+            f"{name} {format_value(float(line[name]), run.metrics[name].decimals)}"
+            for name in names
+        )
         words[label_of(method, variant)] = ", ".join(scores)
     return words

@@ -1,6 +1,7 @@
 """The figures of a paper, each by its kind, as PNG and PDF; and the video that goes with it.
 
-Frames of every method stand next to the reference, with the squares that a rule has chosen enlarged below or next to them.
+Frames of every method stand next to the reference, with the squares that a rule has chosen enlarged
+below or next to them.
 """
 
 import math
@@ -35,7 +36,8 @@ from ggvs_eval.run_folder import frame_path
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BOX_COLOURS = (COLOURS[4], COLOURS[5], COLOURS[3], COLOURS[2])  # light ones, which stand out from pictures
+# light ones, which stand out from pictures
+BOX_COLOURS = (COLOURS[4], COLOURS[5], COLOURS[3], COLOURS[2])
 TINY, SMALL = 6, 7
 LETTERS_PER_IN = 20  # of the small font
 WIDEST = 3840  # pixels, which players and journals take
@@ -67,11 +69,13 @@ def write_figure(
 
     Args:
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
-        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``,
-            ``stream``: quality on the screen over pictures per second, or a ``video`` of the methods side by side.
+        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the
+            curves over ``k``, ``stream``: quality on the screen over pictures per second, or a
+            ``video`` of the methods side by side.
         out: file to write; without a suffix both a PNG and a PDF.
         rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
-        method: label whose worst squares are shown; ours without a variant, or the first, where None.
+        method: label whose worst squares are shown; ours without a variant, or the first, where
+            None.
         metrics: panels of ``k``, scores of the others.
         methods: labels of those that are shown, in this order; all by default.
         squares: of crops, instead of those that the rule finds.
@@ -85,7 +89,11 @@ def write_figure(
         raise ResultsError(f"--boxes: wanted at least 1, got {boxes}")
     if kind == "video":
         return (
-            write_side_by_side(only_methods(read_run(folder), methods), out if out.suffix else out.with_suffix(".mp4"), view),
+            write_side_by_side(
+                only_methods(read_run(folder), methods),
+                out if out.suffix else out.with_suffix(".mp4"),
+                view,
+            ),
         )
     files = (out,) if out.suffix else tuple(out.with_suffix(suffix) for suffix in BOTH)
     if kind == "k":  # figures of other parts, each of which this module is used without
@@ -105,12 +113,17 @@ def write_figure(
         return tuple(draw_rates(rate_panels([run]), file) for file in files)
     if not run.pictured:
         why = "; ".join(f"{label} {reason}" for label, reason in run.results.set_aside.items())
-        raise ResultsError(f"{run.folder.root}: wanted a method with every frame, got none: {why}; render the missing frames")
+        raise ResultsError(
+            f"{run.folder.root}: wanted a method with every frame, got none: {why}; render the "
+            f"missing frames"
+        )
     label = method or run.ours_first[0]
     if kind == "failures":
         return draw_failures(run, files, label, boxes, look)
     if squares:
-        return draw_crops(run, files, given_regions(run, squares, view, frame), "chosen manually", look, scores)
+        return draw_crops(
+            run, files, given_regions(run, squares, view, frame), "chosen manually", look, scores
+        )
     regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
     return draw_crops(run, files, regions, RULES[rule].format(name=run.name(label)), look, scores)
 
@@ -123,7 +136,8 @@ def draw_crops(
     look: FigureLook = FULL_LOOK,
     scores: Mapping[str, str] | None = None,
 ) -> tuple[Path, ...]:
-    """Return one frame of every method with its boxes, and below it what is in each box, with the mean absolute error there.
+    """Return one frame of every method with its boxes, and below it what is in each box, with the
+    mean absolute error there.
 
     Args:
         regions: squares of one and the same frame.
@@ -143,18 +157,31 @@ def draw_crops(
         _show(axes[0, across], picture, f"{run.name(key)}\n{score_text}", longest)
         for number, region in enumerate(regions):
             _box(axes[0, across], region, number)
-            _show(axes[1 + number, across], _cut(picture, region), "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}")
-            for spine in axes[1 + number, across].spines.values():  # in the colour of the box that is shown
+            _show(
+                axes[1 + number, across],
+                _cut(picture, region),
+                "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}",
+            )
+            # in the colour of the box that is shown
+            for spine in axes[1 + number, across].spines.values():
                 spine.set(edgecolor=BOX_COLOURS[number % len(BOX_COLOURS)], linewidth=1.6)
     if look.has_title:
-        figure.suptitle(f"{regions[0].view}, frame {regions[0].frame}; boxes: {rule}", fontsize=SMALL, wrap=True)
+        figure.suptitle(
+            f"{regions[0].view}, frame {regions[0].frame}; boxes: {rule}", fontsize=SMALL, wrap=True
+        )
     return tuple(save_figure(figure, file) for file in files)
 
 
 def draw_failures(
-    run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3, look: FigureLook = FULL_LOOK
+    run: MeasuredRun,
+    files: Sequence[Path],
+    label: str,
+    cases: int = 3,
+    look: FigureLook = FULL_LOOK,
 ) -> tuple[Path, ...]:
-    """Return the worst squares of a method, one per view: place, reference, every method, and the method's error map."""
+    """Return the worst squares of a method, one per view: place, reference, every method, and the
+    method's error map.
+    """
     regions = find_regions(run, "worst", label, cases, one_per_view=True)
     labels = ("truth", *run.pictured)
     column_in = look.width_in / (len(labels) + 2)
@@ -170,15 +197,23 @@ def draw_failures(
         _show(axes[down, 0], pictures[label], f"{region.view}, frame {region.frame}", longest)
         _box(axes[down, 0], region, 0)
         for across, key in enumerate(labels, start=1):
-            name, error_text = "" if down else names[key], "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
+            name, error_text = (
+                "" if down else names[key],
+                "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}",
+            )
             _show(axes[down, across], _cut(pictures[key], region), f"{name}{error_text}", longest)
-        picture = axes[down, -1].imshow(_cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE)
+        picture = axes[down, -1].imshow(
+            _cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE
+        )
         _bare(axes[down, -1], "" if down else error_of, longest)
     bar = figure.colorbar(picture, ax=axes[:, -1], fraction=0.08, pad=0.04)
     bar.ax.tick_params(labelsize=TINY)
     bar.set_label("grey levels of 255", fontsize=TINY)
     if look.has_title:
-        figure.suptitle(f"Squares {RULES['worst'].format(name=run.name(label))}, the worst of each view", fontsize=SMALL)
+        figure.suptitle(
+            f"Squares {RULES['worst'].format(name=run.name(label))}, the worst of each view",
+            fontsize=SMALL,
+        )
     return tuple(save_figure(figure, file) for file in files)
 
 
@@ -191,7 +226,10 @@ def _grid(size: tuple[float, float], heights: list[float], columns: int) -> tupl
 
 def _pictures(run: MeasuredRun, region: Region) -> dict[str, Image8]:
     """Return label -> whole frame, the truth first."""
-    return {key: read_image(frame_path(folder, region.frame)) for key, folder in run.frame_folders(region.view).items()}
+    return {
+        key: read_image(frame_path(folder, region.frame))
+        for key, folder in run.frame_folders(region.view).items()
+    }
 
 
 def _cut(picture: Any, region: Region) -> Any:
@@ -203,7 +241,8 @@ def _l1(errors: Any, region: Region) -> float:
 
 
 def _show(axes: "Axes", picture: Image8, title: str, longest: int = 22) -> None:
-    axes.imshow(picture, interpolation="antialiased")  # repeats pixels where it enlarges much, averages where it reduces
+    # repeats pixels where it enlarges much, averages where it reduces
+    axes.imshow(picture, interpolation="antialiased")
     _bare(axes, title, longest)
 
 
@@ -213,10 +252,17 @@ def _bare(axes: "Axes", title: str, longest: int = 22) -> None:
 
 
 def _wrap(title: str, longest: int) -> str:
-    """A long name in lines, so that it does not run into its neighbour's; options (``history_tolerance=0.02``) as words."""
+    """A long name in lines, so that it does not run into its neighbour's.
+
+    Options (``history_tolerance=0.02``) as words.
+    """
     import textwrap
 
-    return "\n".join(line for part in title.splitlines() for line in textwrap.wrap(re.sub("[_=]", " ", part), longest))
+    return "\n".join(
+        line
+        for part in title.splitlines()
+        for line in textwrap.wrap(re.sub("[_=]", " ", part), longest)
+    )
 
 
 def _box(axes: "Axes", region: Region, number: int) -> None:
@@ -224,7 +270,9 @@ def _box(axes: "Axes", region: Region, number: int) -> None:
 
     corner = (region.left - 0.5, region.top - 0.5)
     colour = BOX_COLOURS[number % len(BOX_COLOURS)]
-    axes.add_patch(Rectangle(corner, region.side, region.side, fill=False, edgecolor=colour, linewidth=1.2))
+    axes.add_patch(
+        Rectangle(corner, region.side, region.side, fill=False, edgecolor=colour, linewidth=1.2)
+    )
 
 
 def write_side_by_side(run: MeasuredRun, out: Path, view: str | None = None) -> Path:
@@ -241,11 +289,17 @@ def write_side_by_side(run: MeasuredRun, out: Path, view: str | None = None) -> 
     views = run.protocol.views.test
     view = view or views[0]
     if view not in views:
-        raise ResultsError(f"{run.folder.root}: no test view {view!r}; use one of {', '.join(views)}")
+        raise ResultsError(
+            f"{run.folder.root}: no test view {view!r}; use one of {', '.join(views)}"
+        )
     if out.suffix != ".mp4":
-        raise ResultsError(f"{out}: a video's name must end in .mp4, got {out.suffix or 'no suffix'}")
+        raise ResultsError(
+            f"{out}: a video's name must end in .mp4, got {out.suffix or 'no suffix'}"
+        )
     if len(run.frames) < 2:
-        raise ResultsError(f"{run.folder.root}: one frame is no video; draw `ggvs-eval figure crops`")
+        raise ResultsError(
+            f"{run.folder.root}: one frame is no video; draw `ggvs-eval figure crops`"
+        )
     folders = run.frame_folders(view)
     write_video(out, _frames(run, folders), float(run.capture.get("fps") or DEFAULT_FPS))
     return out
@@ -259,7 +313,10 @@ def _frames(run: MeasuredRun, folders: dict[str, Path]) -> Iterator[Image8]:
     height = round(full_height * width / full_width)
     names = [_strip(run.name(key), width) for key in folders]
     for frame in run.frames:
-        pictures = [resize(read_image(frame_path(folder, frame)), width, height, "area") for folder in folders.values()]
+        pictures = [
+            resize(read_image(frame_path(folder, frame)), width, height, "area")
+            for folder in folders.values()
+        ]
         yield _sheet([np.concatenate(pair) for pair in zip(names, pictures, strict=True)], columns)
 
 
@@ -267,7 +324,9 @@ def _sheet(pictures: Sequence[Image8], columns: int) -> Image8:
     """Return the pictures of one size in rows, black if there is none, of even width and height."""
     height, width, _ = pictures[0].shape
     rows = math.ceil(len(pictures) / columns)
-    sheet = np.zeros((rows * height + rows * height % 2, columns * width + columns * width % 2, 3), np.uint8)
+    sheet = np.zeros(
+        (rows * height + rows * height % 2, columns * width + columns * width % 2, 3), np.uint8
+    )
     for at, picture in enumerate(pictures):
         top, left = at // columns * height, at % columns * width
         sheet[top : top + height, left : left + width] = picture
@@ -287,7 +346,9 @@ def _strip(name: str, width: int) -> Image8:
 
 
 def crops_section(report: Report) -> SectionContent:
-    """Return two figures of each run: the squares in which methods differ most, and the worst ones of the first method."""
+    """Return two figures of each run: the squares in which methods differ most, and the worst ones
+    of the first method.
+    """
 
     def figures(places: FigurePlaces) -> Iterator[Draw]:
         for key, run in report.runs.items():

@@ -1,4 +1,6 @@
-"""A table before it has a format: every cell is a value with its text and standing, or the reason why there is none."""
+"""A table before it has a format: every cell is a value with its text and standing, or the reason
+why there is none.
+"""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -11,9 +13,17 @@ from ggvs_eval.statistics.paired import Judgement
 SIGNIFICANT = 4
 DASH = "–"  # of a cell whose reason is in its note, and once below the table
 SHORT = "†"  # behind an interval of a clip too short for it
-SHORT_MEANS = f"{SHORT}: the clip is short for the correlation of its errors, and the interval may cover less than it says."
+SHORT_MEANS = (
+    f"{SHORT}: the clip is short for the correlation of its errors, and the interval may cover "
+    "less than it says."
+)
 
-ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
+ENDINGS = {
+    "static": "static",
+    "moving": "moving",
+    "disoccluded": "disoccluded",
+    "cc": "colour-corrected",
+}
 
 RowKind = Literal["measured", "ours", "partial", "faulty", "published", "reference"]
 GREY: tuple[RowKind, ...] = ("published", "reference")
@@ -39,14 +49,27 @@ class Column:
         """Name and direction as the field writes them.
 
         Examples:
-            >>> [Column(name, higher_is_better=True).head for name in ("PSNR", "MS_SSIM", "PSNR_cc_static")]
+            >>> [
+            ...     Column(name, higher_is_better=True).head
+            ...     for name in ("PSNR", "MS_SSIM", "PSNR_cc_static")
+            ... ]
             ['PSNR ↑', 'MS-SSIM ↑', 'PSNR, colour-corrected, static ↑']
         """
         name = self.name
         parts: list[str] = []
-        while (ending := next((suffix for suffix in ENDINGS if name.endswith(f"_{suffix}")), "")) and name != ending:
+        while (
+            ending := next((suffix for suffix in ENDINGS if name.endswith(f"_{suffix}")), "")
+        ) and name != ending:
             name, parts = name.removesuffix(f"_{ending}"), [ENDINGS[ending], *parts]
-        return " ".join(filter(None, (", ".join([name.replace("_", "-" if name.isupper() else " "), *parts]), self.arrow)))
+        return " ".join(
+            filter(
+                None,
+                (
+                    ", ".join([name.replace("_", "-" if name.isupper() else " "), *parts]),
+                    self.arrow,
+                ),
+            )
+        )
 
     @property
     def arrow(self) -> str:
@@ -63,15 +86,15 @@ class Cell:
         value: unrounded; None if there is none.
         best: its column's judgement marks it: the best, or not worse than that.
         shade: strength of the blue behind it, 0 to 1.
-        spread: rounded half width of its interval, ``± 0.21``, with `SHORT` where it is not to be relied on; empty if there is
-            none.
+        spread: rounded half width of its interval, ``± 0.21``, with `SHORT` where it is not to be
+            relied on; empty if there is none.
         low: lower bound of the interval, unrounded; None if there is none.
         high: upper bound; None where `low` is.
         note: what the interval takes as given, or why there is none.
         bound: ``at most`` or ``at least``, before the value, where it is a bound.
         beside: text after the value, such as a percentile.
-        unranked: why the value is neither marked as best nor kept from it by others, as it follows the method's name; empty where
-            it competes.
+        unranked: why the value is neither marked as best nor kept from it by others, as it follows
+            the method's name; empty where it competes.
         place: view and frame that the value is of, where it is of one.
     """
 
@@ -100,19 +123,27 @@ class Cell:
 
     @property
     def hint(self) -> str:
-        """One line about the interval, or why there is no value or rank; empty if nothing is known of these."""
+        """One line about the interval, or why there is no value or rank.
+
+        Empty if nothing is known of these.
+        """
         if self.value is None:
             return self.note
         unranked = f"not ranked: it {self.unranked}" if self.unranked else ""
         if self.low is None or self.high is None:
-            return "; ".join(filter(None, (f"no interval: {self.note}" if self.note else "", unranked)))
+            return "; ".join(
+                filter(None, (f"no interval: {self.note}" if self.note else "", unranked))
+            )
         interval = f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}"
         return "; ".join(filter(None, (", ".join(filter(None, (interval, self.note))), unranked)))
 
 
 @dataclass(frozen=True)
 class Row:
-    """One method, measured or published, or a reference that is no method; ``label`` is that of a measured method."""
+    """One method, measured or published, or a reference that is no method.
+
+    ``label`` is that of a measured method.
+    """
 
     name: str
     cells: tuple[Cell, ...]
@@ -126,7 +157,9 @@ class Row:
 
     @property
     def competes(self) -> bool:
-        """True for a method that was measured on everything that the table is of, and whose renders have no certain fault."""
+        """True for a method that was measured on everything that the table is of, and whose renders
+        have no certain fault.
+        """
         return self.kind in ("measured", "ours")
 
 
@@ -156,7 +189,9 @@ class Table:
     @property
     def footnote(self) -> str:
         """Meaning of the dashes; empty if there is none."""
-        reasons = dict.fromkeys(cell.note for row in self.rows for cell in row.cells if cell.text == DASH and cell.note)
+        reasons = dict.fromkeys(
+            cell.note for row in self.rows for cell in row.cells if cell.text == DASH and cell.note
+        )
         return f"{DASH}: {', or '.join(reasons)}." if reasons else ""
 
 
@@ -175,34 +210,72 @@ def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, .
 
 def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
     """Return the tables of one data set as one; a row that lacks a column has a dash there."""
-    places = [(table, at) for name in names for table in tables for at, column in enumerate(table.columns) if column.name == name]
+    places = [
+        (table, at)
+        for name in names
+        for table in tables
+        for at, column in enumerate(table.columns)
+        if column.name == name
+    ]
     kinds = {row.name: (row.kind, row.label) for table in tables for row in table.rows}
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
     rows = []
     for name in sorted(kinds, key=lambda name: kinds[name][0] in GREY):  # stable: grey rows last
-        row_cells = (cells[table.key, name][at] if (table.key, name) in cells else Cell(DASH) for table, at in places)
+        row_cells = (
+            cells[table.key, name][at] if (table.key, name) in cells else Cell(DASH)
+            for table, at in places
+        )
         row = Row(name, tuple(row_cells), *kinds[name])
         if not row.is_grey or any(cell.value is not None for cell in row.cells):
             rows.append(row)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
     columns = tuple(table.columns[at] for table, at in places)
-    judgements = {name: judgement for table in tables for name, judgement in table.judgements.items() if name in names}
-    return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, judgements)
+    judgements = {
+        name: judgement
+        for table in tables
+        for name, judgement in table.judgements.items()
+        if name in names
+    }
+    return Table(
+        key="results",
+        title="Results",
+        caption=tables[0].caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=tables[0].dataset,
+        notes=notes,
+        judgements=judgements,
+    )
 
 
-def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:
-    """Return a cell with a rounded value and its interval if there is one, or with the reason for its absence."""
+def measured_cell(
+    value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None
+) -> Cell:
+    """Return a cell with a rounded value and its interval if there is one, or with the reason for
+    its absence.
+    """
     if value is None or math.isnan(value):
         return Cell(f"not computed: {reason}")
     if interval is None:
         return Cell(format_value(value, decimals), value)
     half = interval.half_width
     spread = "" if half is None else spread_text(value, half, decimals, interval.is_short)
-    return Cell(format_value(value, decimals), value, False, 0.0, spread, interval.low, interval.high, interval.note)
+    return Cell(
+        text=format_value(value, decimals),
+        value=value,
+        best=False,
+        shade=0.0,
+        spread=spread,
+        low=interval.low,
+        high=interval.high,
+        note=interval.note,
+    )
 
 
 def format_value(value: float, decimals: int | None = None) -> str:
-    """Round as the paper does: fixed decimals per metric, four significant digits (None) for what spans magnitudes (STED)."""
+    """Round as the paper does: fixed decimals per metric, four significant digits (None) for what
+    spans magnitudes (STED).
+    """
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     return f"{value:.{_decimals(value, decimals)}f}"
@@ -218,13 +291,19 @@ def signed(value: float, decimals: int | None = None) -> str:
     return f"{'+' if value > 0 else ''}{format_value(value, decimals)}".replace("-", "−")
 
 
-def spread_text(value: float, half_width: float, decimals: int | None = None, is_short: bool = False) -> str:
-    """Return an interval behind its value, ``± 0.21``, marked where the clip is too short for it."""
+def spread_text(
+    value: float, half_width: float, decimals: int | None = None, is_short: bool = False
+) -> str:
+    """Return an interval behind its value, ``± 0.21``, marked where the clip is too short
+    for it.
+    """
     return f"± {format_half_width(value, half_width, decimals)}{SHORT if is_short else ''}"
 
 
 def format_half_width(value: float, half_width: float, decimals: int | None = None) -> str:
-    """Return half the width of an interval to the digits of its value, or to its first digit where that would print 0."""
+    """Return half the width of an interval to the digits of its value, or to its first digit where
+    that would print 0.
+    """
     if half_width <= 0.0:
         return "0"
     decimals = _decimals(value, decimals)
@@ -240,16 +319,25 @@ def _decimals(value: float, decimals: int | None) -> int:
     return max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
 
 
-def rank(columns: Sequence[Column], rows: Sequence[Row], marked: Sequence[Collection[str]] = ()) -> tuple[Row, ...]:
-    """Shade the better half of each column and mark what its judgement marks; grey rows are left alone.
+def rank(
+    columns: Sequence[Column], rows: Sequence[Row], marked: Sequence[Collection[str]] = ()
+) -> tuple[Row, ...]:
+    """Shade the better half of each column and mark what its judgement marks.
+
+    Grey rows are left alone.
 
     Args:
-        marked: per column the labels to mark, see `ggvs_eval.statistics.paired.Judgement`; nothing marks none.
+        marked: per column the labels to mark, see `ggvs_eval.statistics.paired.Judgement`; nothing
+            marks none.
     """
     ranked = [list(row.cells) for row in rows]
     competing = [index for index, row in enumerate(rows) if row.competes]
     for at, column in enumerate(columns):
-        having = {i: v for i in competing if (v := ranked[i][at].value) is not None and not ranked[i][at].unranked}
+        having = {
+            i: v
+            for i in competing
+            if (v := ranked[i][at].value) is not None and not ranked[i][at].unranked
+        }
         if column.higher_is_better is None or len(having) < 2:
             continue
         low, high = min(having.values()), max(having.values())
@@ -258,7 +346,9 @@ def rank(columns: Sequence[Column], rows: Sequence[Row], marked: Sequence[Collec
             standing = (value - low) / spread if spread else 0.0
             standing = 1.0 - standing if spread and not column.higher_is_better else standing
             best = bool(marked) and rows[index].label in marked[at]
-            ranked[index][at] = replace(ranked[index][at], best=best, shade=shade(standing, column.higher_is_better))
+            ranked[index][at] = replace(
+                ranked[index][at], best=best, shade=shade(standing, column.higher_is_better)
+            )
     return tuple(replace(row, cells=tuple(cells)) for row, cells in zip(rows, ranked, strict=True))
 
 
@@ -270,7 +360,8 @@ def shade(standing: float, higher_is_better: bool) -> float:
         higher_is_better: columns in which less is better fade faster.
 
     Returns:
-        0 (no colour) up to the middle, then Schlick's gain curve up to 1, which is printed as rgb (0.75, 0.75, 1).
+        0 (no colour) up to the middle, then Schlick's gain curve up to 1, which is printed as rgb
+        (0.75, 0.75, 1).
     """
     above = max(0.0, 2.0 * standing - 1.0)
     gain = 1.0 - (0.75 if higher_is_better else 0.85)

@@ -1,4 +1,7 @@
-"""The leaderboard: the tables of many scored runs on one static page; numbers alone are read, no frame is looked for."""
+"""The leaderboard: the tables of many scored runs on one static page.
+
+Numbers alone are read, no frame is looked for.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,11 +18,13 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
     """Write one page with the tables of many runs, a section per protocol.
 
     Args:
-        runs: folders with ``protocol.toml``, ``results.*``, ``methods.json`` and ``metrics.json`` of a run; frames may be absent.
+        runs: folders with ``protocol.toml``, ``results.*``, ``methods.json`` and ``metrics.json``
+            of a run; frames may be absent.
         out: HTML file to write; equal runs give equal bytes.
 
     Raises:
-        ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
+        ResultsError: no run, a run given twice, a folder that is no scored run, or a method that
+            two runs measured on one scene.
     """
     sheets = list(map(_sheet, read_groups(runs, read_scores)))
     write_text(out, fill_page("Leaderboard", sheets))

@@ -22,17 +22,40 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 TEMPLATES = Path(__file__).parent / "templates"
-FIRST_SCRIPTS = ("theme", "loading")  # run before anything is drawn, so that no page flashes in the wrong colours
+# run before anything is drawn, so that no page flashes in the wrong colours
+FIRST_SCRIPTS = ("theme", "loading")
 SCRIPTS = (
-    *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
-    *("full_size", "crop_picker", "heat_map", "sortable_table", "table_copy", "player", "methods", "viewer", "opening"),
+    *(
+        "zoom_window",
+        "pointer_gestures",
+        "picture_grid",
+        "curve_cursor",
+        "row_cutter",
+        "linked_slices",
+    ),
+    *(
+        "full_size",
+        "crop_picker",
+        "heat_map",
+        "sortable_table",
+        "table_copy",
+        "player",
+        "methods",
+        "viewer",
+        "opening",
+    ),
     *("tabs", "place", "start"),
 )
 STILL_FIRST_SCRIPTS = ("theme",)  # of a page in which tables are all that moves
 STILL_SCRIPTS = ("picture_grid", "sortable_table", "table_copy", "leaderboard")
-FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
+FACT_NAMES = {
+    "n_frames": "frames captured",
+    "fps": "frames per second",
+    "units_origin": "scale known from",
+}
 Part = tuple[str, str, tuple[str, ...]]
-# Places of each group after the overview: anchor, title, templates, of which those are shown that have something to show.
+# Places of each group after the overview: anchor, title, templates, of which those are shown that
+# have something to show.
 PARTS: tuple[Part, ...] = (
     ("compare", "Compare", ("comparison", "linked_slices", "errors")),
     ("results", "Scores", ("results",)),
@@ -54,12 +77,17 @@ def page_script(names: Sequence[str] = SCRIPTS) -> str:
 
 
 def script_digest(script: str) -> str:
-    """Return the digest by which the page's policy allows a script: SHA-256 of the text in UTF-8, in base64."""
+    """Return the digest by which the page's policy allows a script: SHA-256 of the text in UTF-8,
+    in base64.
+    """
     return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
 
 
-def fill_page(title: str, sheets: Sequence[Mapping[str, Any]], moves: bool = False, **values: Any) -> str:
-    """Fill the page's template with styles, scripts, and the digests by which its policy allows these.
+def fill_page(
+    title: str, sheets: Sequence[Mapping[str, Any]], moves: bool = False, **values: Any
+) -> str:
+    """Fill the page's template with styles, scripts, and the digests by which its policy allows
+    these.
 
     Args:
         title: of the page.
@@ -67,7 +95,9 @@ def fill_page(title: str, sheets: Sequence[Mapping[str, Any]], moves: bool = Fal
         moves: whether more than tables moves.
         values: what the templates read besides; without `groups` of runs the sheets are all of it.
     """
-    css, dark_css = ((TEMPLATES / file).read_text(encoding="utf-8") for file in ("page.css", "dark.css"))
+    css, dark_css = (
+        (TEMPLATES / file).read_text(encoding="utf-8") for file in ("page.css", "dark.css")
+    )
     first, last = (FIRST_SCRIPTS, SCRIPTS) if moves else (STILL_FIRST_SCRIPTS, STILL_SCRIPTS)
     scripts = {"first": page_script(first), "last": page_script(last)}
     digests = [*map(script_digest, scripts.values())]
@@ -92,10 +122,20 @@ def render_page(report: Report) -> str:
 
 
 def page_numbers(report: Report) -> dict[str, int]:
-    """Return the number of each method of a page by its name, the same on all tabs and in the figures next to the page."""
+    """Return the number of each method of a page by its name, the same on all tabs and in the
+    figures next to the page.
+    """
     names = [run.name(label) for run in report.runs.values() for label in run.labels]
-    names += [row.name for group in report.groups for table in group.tables for row in table.rows if row.label]
-    return method_numbers([*names, *(name for content in report.contents for name in content.names)])
+    names += [
+        row.name
+        for group in report.groups
+        for table in group.tables
+        for row in table.rows
+        if row.label
+    ]
+    return method_numbers(
+        [*names, *(name for content in report.contents for name in content.names)]
+    )
 
 
 def template_environment() -> "Environment":
@@ -113,14 +153,19 @@ def _coded(text: str) -> str:
 
 
 def _groups(report: Report, plot: dict[str, Any]) -> list[dict[str, Any]]:
-    """Build the template context of each group; places have the same names in all groups, behind the group's own."""
+    """Build the template context of each group.
+
+    Places have the same names in all groups, behind the group's own.
+    """
     groups = report.groups
     names = _tab_names(groups)
     tabs = zip(names, _addresses(names), strict=True)
     contexts = []
     for group in groups:
         runs = [*group.runs.values()]
-        sections = [_section(report, key, run, *next(tabs), plot) for key, run in group.runs.items()]
+        sections = [
+            _section(report, key, run, *next(tabs), plot) for key, run in group.runs.items()
+        ]
         values = report.values(group.id)
         filled = {name for of_it in (values, *sections) for name, value in of_it.items() if value}
         context = {
@@ -142,7 +187,9 @@ def _groups(report: Report, plot: dict[str, Any]) -> list[dict[str, Any]]:
             "blocks": filled,
             "parts": _parts(filled | {"results", "measured"}),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
-            "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
+            "has_published_rows": any(
+                row.kind == "published" for table in group.tables for row in table.rows
+            ),
             "sections": sections,
         }
         contexts.append(context | values)
@@ -168,7 +215,9 @@ def _parts(blocks: Collection[str]) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """Return the name each run for the run selector: its title, with as much more as needed to distinguish all runs."""
+    """Return the name each run for the run selector: its title, with as much more as needed to
+    distinguish all runs.
+    """
     runs = [(group, run) for group in groups for run in group.runs.values()]
     names = [
         [run.title for _, run in runs],
@@ -176,29 +225,58 @@ def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
         [group.heading for group, _ in runs],
         [f"{group.heading}, {run.scene}" for group, run in runs],
     ]
-    return next((candidates for candidates in names if len(set(candidates)) == len(runs)), names[-1])
+    return next(
+        (candidates for candidates in names if len(set(candidates)) == len(runs)), names[-1]
+    )
 
 
 def _addresses(names: Sequence[str]) -> list[str]:
     """Return the same in words of an address, no two alike."""
     slugs = [re.sub(r"[^\w.-]+", "-", name.lower()).strip("-") for name in names]
-    return [slug if slug and slugs.count(slug) == 1 else f"{slug}-{at}".strip("-") for at, slug in enumerate(slugs)]
+    return [
+        slug if slug and slugs.count(slug) == 1 else f"{slug}-{at}".strip("-")
+        for at, slug in enumerate(slugs)
+    ]
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
-    """Return the commands that reproduce these numbers; folders by last names only, to reveal nothing of the machine."""
+    """Return the commands that reproduce these numbers.
+
+    Folders by last names only, to reveal nothing of the machine.
+    """
     root = run_words(run.folder.root, capture)
-    local = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
+    local = [
+        label
+        for label in run.labels
+        if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()
+    ]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in local]
     inputs = ["--with-truth"] if run.has_own_truth else ["--capture", Path(capture).name]
     inputs += ["--protocol", f"{root}/protocol.toml"]
-    commands = [["prepare", root, *inputs, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]] if local else []
-    scored = ["score", *([root] if local else ["--run", root, *inputs]), *(["--renders", *foreign] if foreign else [])]
+    commands = (
+        [
+            [
+                "prepare",
+                root,
+                *inputs,
+                *(["--matcher", matcher] if (matcher := _matcher(run)) else []),
+            ]
+        ]
+        if local
+        else []
+    )
+    scored = [
+        "score",
+        *([root] if local else ["--run", root, *inputs]),
+        *(["--renders", *foreign] if foreign else []),
+    ]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in local if (label in on_gpu) == device]:
             commands.append(["render", root, "--methods", *labels, *flags])
-    return [shlex.join(["ggvs-eval", *command]) for command in (*commands, scored, ["report", root])]
+    return [
+        shlex.join(["ggvs-eval", *command]) for command in (*commands, scored, ["report", root])
+    ]
 
 
 def run_words(root: Path, capture: str) -> str:
@@ -207,7 +285,9 @@ def run_words(root: Path, capture: str) -> str:
     return f"{parent}/{name}" if parent and name == Path(capture).name else name
 
 
-def _section(report: Report, key: str, run: MeasuredRun, title: str, address: str, plot: dict[str, Any]) -> dict[str, Any]:
+def _section(
+    report: Report, key: str, run: MeasuredRun, title: str, address: str, plot: dict[str, Any]
+) -> dict[str, Any]:
     """Build the template context of one run."""
     capture = run.folder.capture_record()
     data = report.data(key)
@@ -227,15 +307,24 @@ def _section(report: Report, key: str, run: MeasuredRun, title: str, address: st
 
 
 def _matcher(run: MeasuredRun) -> str:
-    """Name of the matcher whose depth the run has, its file without folders; empty if the depth was not computed here."""
+    """Name of the matcher whose depth the run has, its file without folders.
+
+    Empty if the depth was not computed here.
+    """
     record = run.folder.depth_record
-    kind, colon, file = str(read_json(record).get("matcher", "") if record.is_file() else "").partition(":")
+    kind, colon, file = str(
+        read_json(record).get("matcher", "") if record.is_file() else ""
+    ).partition(":")
     return f"{kind}{colon}{Path(file).name}"
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """List the facts about the capture, including notes about what was left out."""
-    plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
+    plain = {
+        key: value
+        for key, value in capture.items()
+        if key != "path" and isinstance(value, str | int | float)
+    }
     facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
     if capture.get("notes"):

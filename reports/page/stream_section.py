@@ -17,22 +17,33 @@ SCORES_KEY, SCORES_TITLE = "stream", "Displayed frames during live capture"
 
 
 def stream_section(report: Report) -> SectionContent:
-    """Return the table and the drawing of each run, and of a group the scores of the displayed frames."""
+    """Return the table and the drawing of each run, and of a group the scores of the displayed
+    frames.
+    """
     tables = {key: stream_table(run) for key, run in report.runs.items()}
     panels = {key: rate_panels([run]) for key, run in report.runs.items()}
-    values: dict[str, dict[str, Any]] = {key: {"on_time": tables[key], "rate_panels": panels[key]} for key in report.runs}
+    values: dict[str, dict[str, Any]] = {
+        key: {"on_time": tables[key], "rate_panels": panels[key]} for key in report.runs
+    }
     scores = {group.id: _displayed_tables(group) for group in report.groups}
     values |= {key: {"elsewhere": (SCORES_KEY,)} for key, of_group in scores.items() if of_group}
 
     def figures(places: FigurePlaces) -> Iterator[Draw]:
         for key, of_run in panels.items():
             if of_run:
-                yield partial(draw_rates, of_run, places.folders[key] / "stream.png", places.numbers)
+                yield partial(
+                    draw_rates, of_run, places.folders[key] / "stream.png", places.numbers
+                )
 
     return SectionContent(
         tables=scores | {key: [table] for key, table in tables.items() if table},
         values=values,
-        names=[family.name for of_run in panels.values() for panel in of_run for family in panel.families],
+        names=[
+            family.name
+            for of_run in panels.values()
+            for panel in of_run
+            for family in panel.families
+        ],
         figures=figures,
     )
 

@@ -18,7 +18,9 @@ from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.reports.section import Draw, FigurePlaces, Report, SectionContent
 from ggvs_eval.run_folder import RunFolder
 
-CAPTION = "Table of `ggvs-eval sweep`. Each variant is a separate protocol, so nothing is ranked here"
+CAPTION = (
+    "Table of `ggvs-eval sweep`. Each variant is a separate protocol, so nothing is ranked here"
+)
 RUNS_FOLLOW = "; intervals are in the tables of the single runs below."
 RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report {}`."
 
@@ -33,7 +35,8 @@ class SweepSection:
         ks: numbers of source views, ascending.
         measured_on: protocol, frames and views of the curves.
         runs_follow: whether the page shows its runs too.
-        rates: quality on the screen over pictures per second, of all its runs; none if nothing is on a screen.
+        rates: quality on the screen over pictures per second, of all its runs; none if nothing is
+            on a screen.
     """
 
     name: str
@@ -47,17 +50,23 @@ class SweepSection:
     @property
     def title(self) -> str:
         """Heading of the section."""
-        return "On the screen" if self.rates else "Quality and time over K" if self.panels else "Sweep"
+        return (
+            "On the screen" if self.rates else "Quality and time over K" if self.panels else "Sweep"
+        )
 
 
-def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True) -> SweepSection:
+def sweep_section(
+    sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True
+) -> SweepSection:
     """Read the table of a sweep.
 
     Args:
         sweep: folder that ``ggvs-eval sweep`` has made.
         notes: metric -> unit and direction, of the sweep's runs.
     """
-    caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
+    caption = CAPTION + (
+        RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep)))
+    )
     table = _table(sweep, notes, caption)
     streamed = [run for run in sweep_runs(sweep) if RunFolder(run).stream_record.is_file()]
     is_one_capture = len({run.parent for run in streamed}) == 1
@@ -65,17 +74,36 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
     try:
         over_k = read_k_table(sweep)
     except ResultsError:  # a sweep over other things than K
-        return SweepSection(sweep.name, table, (), (), _measured_on(sweep) if rates else "", runs_follow, rates)
+        return SweepSection(
+            name=sweep.name,
+            table=table,
+            panels=(),
+            ks=(),
+            measured_on=_measured_on(sweep) if rates else "",
+            runs_follow=runs_follow,
+            rates=rates,
+        )
     metrics = [metric for metric in (*USUAL, SECONDS) if metric in over_k]
     ks = tuple(sorted({int(k) for k in over_k.index.get_level_values("K")}))
     panels = tuple(_panel(over_k, metric, notes) for metric in metrics)
-    return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow, rates)
+    return SweepSection(
+        name=sweep.name,
+        table=table,
+        panels=panels,
+        ks=ks,
+        measured_on=_measured_on(sweep),
+        runs_follow=runs_follow,
+        rates=rates,
+    )
 
 
 def _measured_on(sweep: Path) -> str:
     """Protocol, frames and views of its runs; those of one capture differ in K alone."""
     protocols = [RunFolder(run).protocol() for run in sweep_runs(sweep)]
-    kinds = dict.fromkeys((protocol.name, protocol.frames.count, ", ".join(protocol.views.test)) for protocol in protocols)
+    kinds = dict.fromkeys(
+        (protocol.name, protocol.frames.count, ", ".join(protocol.views.test))
+        for protocol in protocols
+    )
     return "; ".join(f"protocol {name}: {count} frames of {views}" for name, count, views in kinds)
 
 
@@ -86,19 +114,44 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(
-            ", ".join(re.sub(r"^k(\d+)$", r"K = \1", str(line[level])) for level in levels if line[level] != ""),
+            ", ".join(
+                re.sub(r"^k(\d+)$", r"K = \1", str(line[level]))
+                for level in levels
+                if line[level] != ""
+            ),
             tuple(_cell(line[metric], notes.get(metric)) for metric in metrics),
         )
         for _, line in lines.iterrows()
     ]
-    return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
+    return Table(
+        key="sweep",
+        title=f"Sweep {sweep.name}",
+        caption=caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=sweep.name,
+    )
 
 
 def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:
     if metric == SECONDS:
-        return Column(metric, "s", False, "Median time of a frame over all views.")
+        return Column(
+            name=metric,
+            unit="s",
+            higher_is_better=False,
+            describe="Median time of a frame over all views.",
+        )
     note = notes.get(metric)
-    return Column(metric) if note is None else Column(metric, note.unit, note.higher_is_better, note.describe)
+    return (
+        Column(metric)
+        if note is None
+        else Column(
+            name=metric,
+            unit=note.unit,
+            higher_is_better=note.higher_is_better,
+            describe=note.describe,
+        )
+    )
 
 
 def _cell(value: float, note: MetricNote | None) -> Cell:
@@ -119,18 +172,27 @@ def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -
     ks = over_k.index.get_level_values("K")
     bounds = (int(min(ks)), int(max(ks)), 0.0 if metric == SECONDS else low, high)
     better = "higher is better" if column.higher_is_better else "lower is better"
-    return Panel(metric, column.unit, better, "", tuple(curves), bounds)
+    return Panel(
+        metric=metric, unit=column.unit, better=better, view="", curves=tuple(curves), bounds=bounds
+    )
 
 
 def sweeps_section(report: Report) -> SectionContent:
     """Return a sheet for each sweep, and its figures."""
     folders = (*report.sweeps, *report.tables_of)
     notes = next(iter(report.runs.values())).metrics
-    swept = [sweep_section(folder, notes, runs_follow=folder in report.sweeps) for folder in folders]
+    swept = [
+        sweep_section(folder, notes, runs_follow=folder in report.sweeps) for folder in folders
+    ]
     sheets = []
     names = []
     for at, sweep in enumerate(swept):
-        place = {"id": f"sweep{at}", "title": sweep.title, "comes_first": sweep.runs_follow, "template": "sweep"}
+        place = {
+            "id": f"sweep{at}",
+            "title": sweep.title,
+            "comes_first": sweep.runs_follow,
+            "template": "sweep",
+        }
         sheets.append(place | vars(sweep))
         names += [curve.name for panel in sweep.panels for curve in panel.curves]
         names += [family.name for panel in sweep.rates for family in panel.families]
@@ -138,8 +200,15 @@ def sweeps_section(report: Report) -> SectionContent:
     def figures(places: FigurePlaces) -> Iterator[Draw]:
         for at, (folder, sweep) in enumerate(zip(folders, swept, strict=True)):
             if sweep.panels:
-                yield partial(draw_k, folder, places.folders[""] / f"k{at or ''}.png", numbers=places.numbers)
+                yield partial(
+                    draw_k, folder, places.folders[""] / f"k{at or ''}.png", numbers=places.numbers
+                )
             if sweep.rates:
-                yield partial(draw_rates, sweep.rates, places.folders[""] / f"stream{at or ''}.png", places.numbers)
+                yield partial(
+                    draw_rates,
+                    sweep.rates,
+                    places.folders[""] / f"stream{at or ''}.png",
+                    places.numbers,
+                )
 
     return SectionContent(sheets=sheets, names=names, figures=figures)

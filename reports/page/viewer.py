@@ -1,4 +1,6 @@
-"""The viewer of the page: frames of all methods to compare, their errors, slices through a row, and videos."""
+"""The viewer of the page: frames of all methods to compare, their errors, slices through a row, and
+videos.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -39,13 +41,20 @@ def viewer_section(report: Report) -> SectionContent:
         for key, run in group.runs.items():
             undone = report.values(key).get("undone_frames", {})
             values[key], data[key] = _of_run(run, rooms[key], group.verdict, undone, report.folder)
-    scale = {"error_scale": webp_uri(error_scale(), LOSSLESS), "error_full_scale": int(ERROR_FULL_SCALE)}
+    scale = {
+        "error_scale": webp_uri(error_scale(), LOSSLESS),
+        "error_full_scale": int(ERROR_FULL_SCALE),
+    }
     values[""] = scale | {"refers": any(of_run["full"] for of_run in data.values())}
     return SectionContent(values=values, data=data)
 
 
 def _of_run(
-    run: MeasuredRun, room: PictureRoom, verdict: Verdict, undone: Mapping[str, UndoneRenders], folder: Path | None
+    run: MeasuredRun,
+    room: PictureRoom,
+    verdict: Verdict,
+    undone: Mapping[str, UndoneRenders],
+    folder: Path | None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what the templates and the scripts read of a run, pictures as data URIs."""
     comparison = compare_frames(run, room.frames, undone)
@@ -73,7 +82,9 @@ def _viewer_data(
     fps: float,
     full: str = "",
 ) -> dict[str, Any]:
-    """Everything that the viewer and the linked slices of one run share; other sections choose the row and give heat maps.
+    """Everything that the viewer and the linked slices of one run share.
+
+    Other sections choose the row and give heat maps.
 
     Args:
         path: its frames along the camera path, compressed; None if there is none.
@@ -93,7 +104,8 @@ def _viewer_data(
         "row": comparison.full_size[1] // 2,
         "keys": comparison.keys,
         "labels": run.labels,
-        "names": {key: run.name(key) for key in run.labels} | dict(zip(comparison.keys, comparison.names, strict=True)),
+        "names": {key: run.name(key) for key in run.labels}
+        | dict(zip(comparison.keys, comparison.names, strict=True)),
         "images": comparison.images,
         "errors": comparison.errors,
         "path": None if path is None else asdict(path),
@@ -103,18 +115,32 @@ def _viewer_data(
 
 
 def _insets(run: MeasuredRun, keys: Sequence[str], width: int) -> dict[str, dict[str, float]]:
-    """View -> place of the square in which the two methods of the first screen differ most, in its sides; none of one method."""
+    """View -> place of the square in which the two methods of the first screen differ most, in its
+    sides; none of one method.
+    """
     labels, count = tuple(key for key in keys if key != "truth"), len(run.protocol.views.test)
     if len(labels) < 2:
         return {}
-    regions = find_regions(replace(run, labels=labels), "different", labels[0], count, one_per_view=True)
-    return {box.view: {"left": box.left / box.side, "top": box.top / box.side, "across": width / box.side} for box in regions}
+    regions = find_regions(
+        replace(run, labels=labels), "different", labels[0], count, one_per_view=True
+    )
+    return {
+        box.view: {
+            "left": box.left / box.side,
+            "top": box.top / box.side,
+            "across": width / box.side,
+        }
+        for box in regions
+    }
 
 
 def _run_address(root: Path, folder: Path | None) -> str:
-    """Return a run folder as an address from a page; empty if the page loads nothing, or they are too far apart.
+    """Return a run folder as an address from a page.
 
-    A page is in its run folder, or in that of a run next to it; a longer address would reveal the machine that made it.
+    Empty if the page loads nothing, or they are too far apart.
+
+    A page is in its run folder, or in that of a run next to it; a longer address would reveal the
+    machine that made it.
     """
     if folder is None:
         return ""

@@ -1,4 +1,6 @@
-"""Paired comparison of two runs, or two methods of one run: differences, whether they are significant, as text and CSV."""
+"""Paired comparison of two runs, or two methods of one run: differences, whether they are
+significant, as text and CSV.
+"""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +41,10 @@ class Side:
         """Test view -> digest of the frames; empty in results of earlier versions."""
         renders = self.results.renders
         return {
-            name: digest for key, digest in renders.items() for label, _, name in [key.rpartition("/")] if label == self.label
+            name: digest
+            for key, digest in renders.items()
+            for label, _, name in [key.rpartition("/")]
+            if label == self.label
         }
 
 
@@ -51,7 +56,8 @@ class Difference:
         view: test view; empty for the mean over all.
         first: number of the first method.
         second: of the second.
-        comparison: first minus second, decided together with those in the other metrics, or in the other views of one metric.
+        comparison: first minus second, decided together with those in the other metrics, or in the
+            other views of one metric.
         set_aside: why either may not be ranked, in words; empty if both may.
         names: what its verdict calls the two.
     """
@@ -85,7 +91,11 @@ class Difference:
             return f"{ahead} better"
         if outcome == "untested":
             return f"{ahead} ahead, not tested: {self.comparison.note}"
-        return f"{ahead} ahead, {self.comparison.short}" if outcome == "too short" else OUTCOMES[outcome]
+        return (
+            f"{ahead} ahead, {self.comparison.short}"
+            if outcome == "too short"
+            else OUTCOMES[outcome]
+        )
 
 
 def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
@@ -94,12 +104,18 @@ def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
     names = RunFolder(run).shown_names
     for label in (first, second):
         if label not in _labels(results):
-            raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
+            raise ResultsError(
+                f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}"
+            )
     if first == second:
         raise ResultsError(f"{run}: wanted two methods, got {first} twice")
     kinds = {label.endswith(ON_SCREEN) for label in (first, second)}  # as in their table
-    results = without_labels(results, [label for label in _labels(results) if label.endswith(ON_SCREEN) not in kinds])
-    first_side, second_side = (Side(names.get(label, label), label, results) for label in (first, second))
+    results = without_labels(
+        results, [label for label in _labels(results) if label.endswith(ON_SCREEN) not in kinds]
+    )
+    first_side, second_side = (
+        Side(names.get(label, label), label, results) for label in (first, second)
+    )
     return first_side, second_side
 
 
@@ -107,18 +123,26 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     """Return every method that two runs share.
 
     Raises:
-        ResultsError: not scored runs, different protocols or captured frames, or no method in common.
+        ResultsError: not scored runs, different protocols or captured frames, or no method in
+            common.
     """
     results = [Results.read(first), Results.read(second)]
     renamed = tell_scenes_apart(results)
-    results = renamed if renamed[0].scenes == renamed[1].scenes else results  # one scene may be in folders of two names
+    # one scene may be in folders of two names
+    results = renamed if renamed[0].scenes == renamed[1].scenes else results
     _require_alike(first, second, *results)
     names = RunFolder(first).shown_names
     labels = _labels(results[0]), _labels(results[1])
     shared = [label for label in labels[0] if label in labels[1]]
     if not shared:
-        raise ResultsError(f"{first} has {', '.join(labels[0])}, {second} {', '.join(labels[1])}: no method in common to compare")
-    return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
+        raise ResultsError(
+            f"{first} has {', '.join(labels[0])}, {second} {', '.join(labels[1])}: no method in "
+            f"common to compare"
+        )
+    return tuple(
+        (Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1]))
+        for label in shared
+    )
 
 
 def differences(first: Side, second: Side, run: Path) -> tuple[Difference, ...]:
@@ -127,9 +151,12 @@ def differences(first: Side, second: Side, run: Path) -> tuple[Difference, ...]:
 
 
 def compare_pairs(
-    pairs: Mapping[str, tuple[Side, Side]], run: Path, names: Mapping[str, tuple[str, str]] | None = None
+    pairs: Mapping[str, tuple[Side, Side]],
+    run: Path,
+    names: Mapping[str, tuple[str, str]] | None = None,
 ) -> dict[str, tuple[Difference, ...]]:
-    """Compare pairs in every metric that both sides have: over all views, and below it in each view.
+    """Compare pairs in every metric that both sides have: over all views, and below it in each
+    view.
 
     Args:
         pairs: name of a pair -> its first and second side.
@@ -137,8 +164,8 @@ def compare_pairs(
         names: name of a pair -> what verdicts call its sides; `SIDES` by default.
 
     Reading:
-        Two methods of one run are judged as its tables judge them. Means of different runs are one family, over all pairs and
-        metrics; single views are another.
+        Two methods of one run are judged as its tables judge them. Means of different runs are one
+        family, over all pairs and metrics; single views are another.
     """
     compared: dict[tuple[str, int], Difference] = {}
     for name, sides in pairs.items():
@@ -152,17 +179,30 @@ def compare_pairs(
         }
         for place, comparison in decide(undecided).items():
             compared[place] = replace(compared[place], comparison=comparison)
-    return {name: tuple(row for place, row in compared.items() if place[0] == name) for name in pairs}
+    return {
+        name: tuple(row for place, row in compared.items() if place[0] == name) for name in pairs
+    }
 
 
-def _compare_sides(first_side: Side, second_side: Side, run: Path, names: tuple[str, str]) -> list[Difference]:
-    """Return the differences of two sides: those that the tables of a run have decided, and others that nobody has yet."""
+def _compare_sides(
+    first_side: Side, second_side: Side, run: Path, names: tuple[str, str]
+) -> list[Difference]:
+    """Return the differences of two sides: those that the tables of a run have decided, and others
+    that nobody has yet.
+    """
     run_read, is_one_run = read_scores(run), first_side.results is second_side.results
-    parts = [_renamed(side, name) for side, name in zip((first_side, second_side), SIDES, strict=True)]
+    parts = [
+        _renamed(side, name) for side, name in zip((first_side, second_side), SIDES, strict=True)
+    ]
     joined = replace(first_side.results, table=pd.concat(parts, ignore_index=True))
-    dataset, labels = str(joined.table["dataset"].iloc[0]), (first_side.label, second_side.label) if is_one_run else SIDES
+    dataset, labels = (
+        str(joined.table["dataset"].iloc[0]),
+        (first_side.label, second_side.label) if is_one_run else SIDES,
+    )
     standings = _standings(run_read, first_side.results if is_one_run else joined, labels, dataset)
-    set_aside = _named(names, [side.results.set_aside.get(side.label) for side in (first_side, second_side)])
+    set_aside = _named(
+        names, [side.results.set_aside.get(side.label) for side in (first_side, second_side)]
+    )
     if not set_aside and first_side.frames and first_side.frames == second_side.frames:
         set_aside = f"{names[0]} and {names[1]} are the same frames, byte by byte"
     means = joined.summary().loc[dataset]
@@ -175,39 +215,74 @@ def _compare_sides(first_side: Side, second_side: Side, run: Path, names: tuple[
     decided = standings.decide(pairs) if is_one_run else {}  # all metrics of the two together
     rows: list[Difference] = []
     for note, pair in zip(notes, pairs, strict=True):
-        unranked = standings.judgements[note.name].unranked if note.name in standings.judgements else {}
-        comparison = decided.get(pair) or compare(joined, note.name, *SIDES, dataset, note.higher_is_better)
+        unranked = (
+            standings.judgements[note.name].unranked if note.name in standings.judgements else {}
+        )
+        comparison = decided.get(pair) or compare(
+            joined, note.name, *SIDES, dataset, note.higher_is_better
+        )
         first, second = (float(means[note.name][side, ""]) for side in SIDES)
         why = set_aside or _named(names, map(unranked.get, labels))
-        rows.append(Difference(note, "", first, second, comparison, why, names))
-        rows += [replace(row, set_aside=why, names=names) for row in _per_view(joined, dataset, note)]
+        rows.append(
+            Difference(
+                note=note,
+                view="",
+                first=first,
+                second=second,
+                comparison=comparison,
+                set_aside=why,
+                names=names,
+            )
+        )
+        rows += [
+            replace(row, set_aside=why, names=names) for row in _per_view(joined, dataset, note)
+        ]
     return rows
 
 
-def _standings(run: MeasuredRun, results: Results, labels: Collection[str], dataset: str) -> Standings:
-    """Return the judgements of the table that two methods are in; those of different runs are in none but their own."""
+def _standings(
+    run: MeasuredRun, results: Results, labels: Collection[str], dataset: str
+) -> Standings:
+    """Return the judgements of the table that two methods are in.
+
+    Those of different runs are in none but their own.
+    """
     labels_shown = {*run.labels}
     if {*labels} <= labels_shown:
-        return judge_runs([run], without_labels(results, {*results.row_labels} - labels_shown))[dataset]
+        return judge_runs([run], without_labels(results, {*results.row_labels} - labels_shown))[
+            dataset
+        ]
     return judge_runs([replace(run, ours=run.ours & {*results.row_labels})], results)[dataset]
 
 
 def _named(names: Sequence[str], reasons: Iterable[str | None]) -> str:
-    return "; ".join(f"{name} {reason}" for name, reason in zip(names, reasons, strict=True) if reason)
+    return "; ".join(
+        f"{name} {reason}" for name, reason in zip(names, reasons, strict=True) if reason
+    )
 
 
 def _per_view(results: Results, dataset: str, note: MetricNote) -> list[Difference]:
-    """Return the same in each test view alone, undecided; nothing for what belongs to the whole rig or to the camera path."""
+    """Return the same in each test view alone, undecided.
+
+    Nothing for what belongs to the whole rig or to the camera path.
+    """
     means = results.per_view(note.name)
     test_views = results.protocol_values.get("views", {}).get("test", means.columns)
     rows = []
     for view in test_views:
         if view in means.columns:
-            # The values of one view as if it were the whole rig, so that what is drawn anew is time alone.
-            alone = replace(results, table=results.table[results.table["view"] == view].assign(view=None))
+            # The values of one view as if it were the whole rig, so that what is drawn anew is time
+            # alone.
+            alone = replace(
+                results, table=results.table[results.table["view"] == view].assign(view=None)
+            )
             comparison = compare(alone, note.name, *SIDES, dataset, note.higher_is_better)
             first, second = means[view].loc[[(side, "") for side in SIDES]].astype(float)
-            rows.append(Difference(note, str(view), first, second, comparison))
+            rows.append(
+                Difference(
+                    note=note, view=str(view), first=first, second=second, comparison=comparison
+                )
+            )
     return rows
 
 
@@ -222,7 +297,11 @@ def what_else_differs(first: Path, second: Path) -> list[str]:
     lines += [f"equal frames: {', '.join(equal_names)}"] if equal_names else []
     labels = _labels(first_results), _labels(second_results)
     alone = [(first, set(labels[0]) - set(labels[1])), (second, set(labels[1]) - set(labels[0]))]
-    return lines + [f"only in {run}: {', '.join(sorted(labels_alone))}" for run, labels_alone in alone if labels_alone]
+    return lines + [
+        f"only in {run}: {', '.join(sorted(labels_alone))}"
+        for run, labels_alone in alone
+        if labels_alone
+    ]
 
 
 def _renamed(side: Side, name: str) -> pd.DataFrame:
@@ -234,49 +313,81 @@ def _labels(results: Results) -> list[str]:
     return list(dict.fromkeys(results.row_labels))
 
 
-def _require_alike(first: Path, second: Path, first_results: Results, second_results: Results) -> None:
+def _require_alike(
+    first: Path, second: Path, first_results: Results, second_results: Results
+) -> None:
     """Refuse runs whose numbers do not answer the same question."""
     hashes = first_results.protocol_sha256, second_results.protocol_sha256
     if hashes[0] != hashes[1]:
         terms = _flat(first_results.protocol_values), _flat(second_results.protocol_values)
         terms_text = "; ".join(f"{name} {a} and {b}" for name, a, b in _unequal(*terms))
         raise ResultsError(
-            f"{first} and {second} were measured under different protocols ({hashes[0][:12]}, {hashes[1][:12]}): "
-            f"{terms_text or 'their values are not recorded'}; score both under one"
+            f"{first} and {second} were measured under different protocols ({hashes[0][:12]}, "
+            f"{hashes[1][:12]}): {terms_text or 'their values are not recorded'}; score both under "
+            "one"
         )
     inputs = [name for name, _, _ in _unequal(first_results.inputs, second_results.inputs)]
     if inputs:
-        raise ResultsError(f"{first} and {second} are not of the same captured frames: {', '.join(inputs)}")
+        raise ResultsError(
+            f"{first} and {second} are not of the same captured frames: {', '.join(inputs)}"
+        )
 
 
 def _unequal(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
     names = dict.fromkeys([*first, *second])
-    return [(name, first.get(name, "none"), second.get(name, "none")) for name in names if first.get(name) != second.get(name)]
+    return [
+        (name, first.get(name, "none"), second.get(name, "none"))
+        for name in names
+        if first.get(name) != second.get(name)
+    ]
 
 
 def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        flat |= _flat(value, f"{above}{name}.") if isinstance(value, dict) else {f"{above}{name}": value}
+        flat |= (
+            _flat(value, f"{above}{name}.")
+            if isinstance(value, dict)
+            else {f"{above}{name}": value}
+        )
     return flat
 
 
 def differences_text(differences: Sequence[Difference]) -> str:
-    """Columns under each other; a line per metric, and per view where asked for; all p values after Holm's correction."""
+    """Columns under each other; a line per metric, and per view where asked for.
+
+    All p values after Holm's correction.
+    """
     rows = [HEADS, *map(cells_of, differences)]
     widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
-    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines = [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
     conditions: dict[str, list[str]] = {}
     for row in differences:
         if row.comparison.p_value is not None and not row.view and row.comparison.note:
             conditions.setdefault(row.comparison.note, []).append(row.metric)
-    notes = [f"Intervals of the means of {', '.join(metrics)}: {note}." for note, metrics in conditions.items()]
+    notes = [
+        f"Intervals of the means of {', '.join(metrics)}: {note}."
+        for note, metrics in conditions.items()
+    ]
     return "\n".join(
-        [*lines, *notes, *(["Intervals of single views: given the view."] if any(row.view for row in differences) else [])]
+        [
+            *lines,
+            *notes,
+            *(
+                ["Intervals of single views: given the view."]
+                if any(row.view for row in differences)
+                else []
+            ),
+        ]
     )
 
 
-def differences_csv(differences: Mapping[str, Sequence[Difference]], sides: Sequence[str] = SIDES) -> str:
+def differences_csv(
+    differences: Mapping[str, Sequence[Difference]], sides: Sequence[str] = SIDES
+) -> str:
     """Return one line per pair of methods, metric and view, numbers unrounded.
 
     Args:
@@ -296,23 +407,37 @@ def differences_csv(differences: Mapping[str, Sequence[Difference]], sides: Sequ
     return csv_text(head, rows)
 
 
-def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:
+def write_comparison(
+    first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None
+) -> str:
     """Compare two runs, or two methods of one.
 
     Raises:
-        ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
+        ResultsError: different protocols or captured frames, no such run or method, or nothing in
+            common.
     """
-    if run is None and not all(RunFolder(Path(root)).protocol_file.is_file() for root in (first, second)):
+    if run is None and not all(
+        RunFolder(Path(root)).protocol_file.is_file() for root in (first, second)
+    ):
         raise ResultsError(
-            f"wanted two run folders, got {first} and {second}; for methods of one run add --run RUN, for renders --capture DIR"
+            f"wanted two run folders, got {first} and {second}; for methods of one run add --run "
+            f"RUN, for renders --capture DIR"
         )
-    pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
+    pairs = (
+        run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
+    )
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
-    named = {left.name if run is None else f"{left.name} against {right.name}": (left, right) for left, right in pairs}
+    named = {
+        left.name if run is None else f"{left.name} against {right.name}": (left, right)
+        for left, right in pairs
+    }
     by_pair = compare_pairs(named, run or Path(first))
     if out is not None:
         write_text(out, differences_csv(by_pair))
-    parts = [f"{name}\n{differences_text([row for row in rows if views or not row.view])}" for name, rows in by_pair.items()]
+    parts = [
+        f"{name}\n{differences_text([row for row in rows if views or not row.view])}"
+        for name, rows in by_pair.items()
+    ]
     return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
 
 
@@ -321,8 +446,22 @@ def cells_of(row: Difference) -> tuple[str, ...]:
     low, high = row.comparison.low, row.comparison.high
     numbers = [format_value(value, row.note.decimals) for value in (row.first, row.second)]
     digits = row.note.decimals
-    interval = "none" if low is None or high is None else f"{signed(low, digits)} to {signed(high, digits)}"
+    interval = (
+        "none"
+        if low is None or high is None
+        else f"{signed(low, digits)} to {signed(high, digits)}"
+    )
     corrected = row.comparison.corrected
-    p_value = "none" if corrected is None else "< 0.0001" if corrected < 0.0001 else f"{corrected:.4f}"
+    p_value = (
+        "none" if corrected is None else "< 0.0001" if corrected < 0.0001 else f"{corrected:.4f}"
+    )
     name = f"{row.metric} ({row.note.unit})" if row.note.unit else row.metric
-    return name, row.view or "all", *numbers, signed(row.comparison.difference, digits), interval, p_value, row.verdict
+    return (
+        name,
+        row.view or "all",
+        *numbers,
+        signed(row.comparison.difference, digits),
+        interval,
+        p_value,
+        row.verdict,
+    )

@@ -1,7 +1,7 @@
 """Tables of what methods see, take and cost, the spread over seeds, and the price of being online.
 
-What seconds of fitting buy is the time to equal quality and the best method under each budget; what differs between methods by
-design is next to what the protocol makes the same for all of them.
+What seconds of fitting buy is the time to equal quality and the best method under each budget; what
+differs between methods by design is next to what the protocol makes the same for all of them.
 """
 
 import math
@@ -33,17 +33,25 @@ from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, Pair
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
 ELSEWHERE = (
-    "4K4D was not run here: it needs foreground masks of all frames, its licence forbids commercial use and requires derived "
-    "work to be open, and its 800,000 iterations take a day of a GPU; import its frames as `rendered:PATH`."
+    "4K4D was not run here: it needs foreground masks of all frames, its licence forbids "
+    "commercial use and requires derived work to be open, and its 800,000 iterations take a day of "
+    "a GPU; import its frames as `rendered:PATH`."
 )
 UNKNOWN = Cell("unknown: others made it")
 UNRECORDED = Cell("not recorded")
 COST_COLUMNS = (
     Column("cameras used", describe="of the capture's cameras; a fit uses all except its fold"),
-    Column("images used", describe="captured images, for the clip of one test view: cameras times instants"),
+    Column(
+        "images used",
+        describe="captured images, for the clip of one test view: cameras times instants",
+    ),
     Column("look-ahead", describe="instants of the future that a frame depends on"),
     Column("fitting", "s/frame", describe="of one fold, over its instants"),
-    Column("whole fit", "s", describe="of one fold: time before the first frame of a method that uses the whole clip"),
+    Column(
+        "whole fit",
+        "s",
+        describe="of one fold: time before the first frame of a method that uses the whole clip",
+    ),
     Column("fitted on"),
     Column("rendering", "ms/frame", describe="median, as in the table of times"),
     Column(
@@ -57,7 +65,8 @@ COST_COLUMNS = (
 NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
 STATED_DB = 30.0  # a PSNR that a fit can be asked for, besides the PSNRs of the methods without fit
 POINTS = (
-    "The points are whole fits: rows of a method that differ in steps (`4dgs+steps=1000`; `ggvs-eval sweep budget` has a series)."
+    "The points are whole fits: rows of a method that differ in steps (`4dgs+steps=1000`; "
+    "`ggvs-eval sweep budget` has a series)."
 )
 DIFFERENCE_COLUMNS = (
     Column("depth", describe="whether the method is given depth of its sources"),
@@ -73,7 +82,8 @@ def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
     for label in run.labels:
         fits = [record["fit"] for record in render_records(run, label) if "fit" in record]
         if fits:
-            records[label] = [fit for at, fit in enumerate(fits) if fit not in fits[:at]]  # test views of a fold share one
+            # test views of a fold share one
+            records[label] = [fit for at, fit in enumerate(fits) if fit not in fits[:at]]
     return records
 
 
@@ -89,29 +99,47 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     n_cameras = len(run.folder.capture_record().get("cameras", ()))
     ahead = read_json(run.folder.root / METHODS_FILE).get("look_ahead", ())
     lines = {
-        label: _fit_cells(run, label, fits[label], n_cameras) if label in fits else _other_cells(run, label, n_cameras, ahead)
+        label: _fit_cells(run, label, fits[label], n_cameras)
+        if label in fits
+        else _other_cells(run, label, n_cameras, ahead)
         for label in run.labels
     }
     if not any(cell.value is not None for line in lines.values() for cell in line):
         return None
-    columns_shown = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
+    columns_shown = [
+        at
+        for at, _ in enumerate(COST_COLUMNS)
+        if {line[at].text for line in lines.values()} - NOTHING
+    ]
     rows = [run.row(label, [line[at] for at in columns_shown]) for label, line in lines.items()]
     caption = "Peak memory: of the process, including memory of earlier methods."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
         caption = (
-            f"Fitted methods render each test view from a fit without its fold ({folds}); the others from K sources. "
-            f"Fitting: mean over the folds, depth excluded as for all methods. {caption} {ELSEWHERE}"
+            f"Fitted methods render each test view from a fit without its fold ({folds}); the "
+            "others from K sources. Fitting: mean over the folds, depth excluded as for all "
+            f"methods. {caption} {ELSEWHERE}"
         )
     columns = tuple(COST_COLUMNS[at] for at in columns_shown)
-    return Table("costs", "Input and cost of each method", caption, columns, tuple(rows), run.scene)
+    return Table(
+        key="costs",
+        title="Input and cost of each method",
+        caption=caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
-def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, ...]:
+def _fit_cells(
+    run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_cameras: int
+) -> tuple[Cell, ...]:
     """Return the cells of `COST_COLUMNS` of a fitted method."""
     counts = sorted({fit["cameras"] for fit in fits})
     span = f"to {counts[-1]} of {n_cameras}" if len(counts) > 1 else f"of {n_cameras}"
-    machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
+    machines = dict.fromkeys(
+        f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits
+    )
     peaks = [fit["peak_bytes"] for fit in fits if fit.get("peak_bytes")]
     seeds = 1 + len(run.replicas.get(label, ()))
     return (
@@ -123,18 +151,31 @@ def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_c
         Cell("; ".join(machines)),
         _rendering_cell(run, label),
         _count_cell(round(max(peaks) / MEGABYTE)) if peaks else UNRECORDED,
-        _number_cell(sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE),
+        _number_cell(
+            sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE
+        ),
         Cell(str(seeds), float(seeds)),
     )
 
 
-def _other_cells(run: MeasuredRun, label: str, n_cameras: int, ahead: Collection[str]) -> tuple[Cell, ...]:
-    """Return the same of a method that renders each instant from its sources; of what others made that is unknown."""
+def _other_cells(
+    run: MeasuredRun, label: str, n_cameras: int, ahead: Collection[str]
+) -> tuple[Cell, ...]:
+    """Return the same of a method that renders each instant from its sources.
+
+    Of what others made that is unknown.
+    """
     records = render_records(run, label)
-    is_known, not_fitted = bool(records) and "splats" not in records[0].get("identity", {}), Cell(NOT_FITTED)
+    is_known, not_fitted = (
+        bool(records) and "splats" not in records[0].get("identity", {}),
+        Cell(NOT_FITTED),
+    )
     if not is_known:
         return (*[UNKNOWN] * 6, _rendering_cell(run, label), UNKNOWN, UNKNOWN, not_fitted)
-    k, peaks = run.protocol.synthesis.k, [record["peak_bytes"] for record in records if record.get("peak_bytes")]
+    k, peaks = (
+        run.protocol.synthesis.k,
+        [record["peak_bytes"] for record in records if record.get("peak_bytes")],
+    )
     return (
         Cell(str(k), float(k), beside=f"of {n_cameras}" if n_cameras else ""),
         _count_cell(k * run.protocol.frames.count),
@@ -167,7 +208,10 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
 
 
 def _seed_table(run: MeasuredRun) -> Table | None:
-    """Return the largest minus smallest number over the seeds of a fit; None if every method has one seed."""
+    """Return the largest minus smallest number over the seeds of a fit.
+
+    None if every method has one seed.
+    """
     if run.all_results is None or not run.replicas:
         return None
     summary = run.all_results.summary().droplevel("dataset")
@@ -175,11 +219,26 @@ def _seed_table(run: MeasuredRun) -> Table | None:
     notes = [note for name, note in run.metrics.items() if name in summary.columns]
     rows = []
     for label, replicas in run.replicas.items():
-        values = [[float(numbers[replica][note.name]) for replica in (label, *replicas)] for note in notes]
+        values = [
+            [float(numbers[replica][note.name]) for replica in (label, *replicas)] for note in notes
+        ]
         rows.append(run.row(label, list(map(_seed_cell, notes, values))))
-    columns = tuple(Column(note.name, note.unit, None, note.describe) for note in notes)
-    caption = "Largest minus smallest number over the seeds of the fit; the other tables show the first seed."
-    return Table("seeds", "Spread over seeds", caption, columns, tuple(rows), run.scene)
+    columns = tuple(
+        Column(name=note.name, unit=note.unit, higher_is_better=None, describe=note.describe)
+        for note in notes
+    )
+    caption = (
+        "Largest minus smallest number over the seeds of the fit; the other tables show the "
+        "first seed."
+    )
+    return Table(
+        key="seeds",
+        title="Spread over seeds",
+        caption=caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
 def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
@@ -191,9 +250,14 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
-    """Price of being online: every fitted method minus GGVS, per dataset; nothing if either is missing or set aside."""
+    """Price of being online: every fitted method minus GGVS, per dataset.
+
+    Nothing if either is missing or set aside.
+    """
     labels = [label for run in runs for label in run.ours_first if label not in results.set_aside]
-    fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels))
+    fitted = list(
+        dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels)
+    )
     own_labels = [label for label in labels if label in runs[0].ours and label not in fitted]
     if not fitted or not own_labels:
         return ()
@@ -201,98 +265,189 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
         cells: dict[str, list[Cell]] = {label: [] for label in fitted}
-        decided = standings[dataset].decide(Pair(note.name, label, own_labels[0]) for note in notes for label in fitted)
+        decided = standings[dataset].decide(
+            Pair(note.name, label, own_labels[0]) for note in notes for label in fitted
+        )
         for label, of_label in cells.items():
             for note in notes:
                 comparison = decided.get(Pair(note.name, label, own_labels[0]))
-                of_label.append(difference_cell(note, comparison, results.why_absent(note.name, label)))
-        columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
+                of_label.append(
+                    difference_cell(note, comparison, results.why_absent(note.name, label))
+                )
+        columns = tuple(
+            Column(
+                name=f"{note.name} {note.arrow}",
+                unit=note.unit,
+                higher_is_better=None,
+                describe=note.describe,
+            )
+            for note in notes
+        )
         name, k = runs[0].name(own_labels[0]), runs[0].protocol.synthesis.k
         caption = (
-            f"Each fitted method minus {name}, which uses {k} views and no future frames; "
-            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
-            f"bold: significantly, over all methods and metrics together. {SHORT_MEANS}"
+            f"Each fitted method minus {name}, which uses {k} views and no future frames; ±: "
+            f"{100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted "
+            "method is better; bold: significantly, over all methods and metrics together. "
+            f"{SHORT_MEANS}"
         )
-        rows = tuple(Row(runs[0].name(label), tuple(of_label), label=label) for label, of_label in cells.items())
-        tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
+        rows = tuple(
+            Row(runs[0].name(label), tuple(of_label), label=label)
+            for label, of_label in cells.items()
+        )
+        tables.append(
+            Table(
+                key="price",
+                title="Price of being online",
+                caption=caption,
+                columns=columns,
+                rows=rows,
+                dataset=dataset,
+            )
+        )
     return tuple(tables)
 
 
 def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent: str = "") -> Cell:
-    """Return a decided difference with its interval and what may be said of it, or why there is none."""
+    """Return a decided difference with its interval and what may be said of it, or why there is
+    none.
+    """
     if comparison is None or comparison.difference != comparison.difference:
         return Cell("not computed", note=why_absent or "no value")
     value, text = comparison.difference, signed(comparison.difference, note.decimals)
     if comparison.high is None:
-        return Cell(text, value, note="; ".join(filter(None, (OUTCOMES[comparison.outcome], comparison.note))))
+        return Cell(
+            text,
+            value,
+            note="; ".join(filter(None, (OUTCOMES[comparison.outcome], comparison.note))),
+        )
     spread = spread_text(value, comparison.high - value, note.decimals, bool(comparison.short))
     outcome = "" if comparison.outcome in ("better", "worse") else OUTCOMES[comparison.outcome]
     remark = "; ".join(filter(None, (outcome, comparison.note)))
-    return Cell(text, value, comparison.outcome == "better", 0.0, spread, comparison.low, comparison.high, remark)
+    return Cell(
+        text=text,
+        value=value,
+        best=comparison.outcome == "better",
+        shade=0.0,
+        spread=spread,
+        low=comparison.low,
+        high=comparison.high,
+        note=remark,
+    )
 
 
 def budget_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """Cost at equal quality and the best method under each budget, of ranked methods alone; nothing if none is fitted."""
+    """Cost at equal quality and the best method under each budget, of ranked methods alone.
+
+    Nothing if none is fitted.
+    """
     summary = run.results.summary().droplevel("dataset")
-    numbers = {label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index}
+    numbers = {
+        label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index
+    }
     ranked = [label for label in run.labels if label not in run.results.set_aside]
-    psnr_db = {label: numbers[label] for label in ranked if math.isfinite(numbers.get(label, math.nan))}
+    psnr_db = {
+        label: numbers[label] for label in ranked if math.isfinite(numbers.get(label, math.nan))
+    }
     fits = {label: records for label, records in fit_records(run).items() if label in psnr_db}
     if not fits:
         return ()
-    return tuple(table for table in (_equal_quality(run, fits, psnr_db), _winners(run, fits, psnr_db)) if table)
+    return tuple(
+        table
+        for table in (_equal_quality(run, fits, psnr_db), _winners(run, fits, psnr_db))
+        if table
+    )
 
 
 def _against(run: MeasuredRun, reference: str, labels: Collection[str]) -> dict[str, Comparison]:
     """Return the methods judged against one of them in PSNR."""
     (standings,) = judge_runs([run], run.results).values()
-    decided = standings.decide(Pair("PSNR", label, reference) for label in labels if label != reference)
+    decided = standings.decide(
+        Pair("PSNR", label, reference) for label in labels if label != reference
+    )
     return {pair.first: comparison for pair, comparison in decided.items()}
 
 
-def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
-    """Return the seconds of fitting at which a method first reaches what others have without any, on held-out views.
+def _equal_quality(
+    run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]
+) -> Table | None:
+    """Return the seconds of fitting at which a method first reaches what others have without any,
+    on held-out views.
 
     Reading:
-        A fit's own curve is of its training images, and held-out views shown to it on the way would be a leak. So the curve is
-        made of whole fits: a method's labels that differ in ``steps`` are its points, and between two of them a crossing is a
-        bound from either side. A fit has reached a method where its number is no worse and the clip is not too short to call it.
+        A fit's own curve is of its training images, and held-out views shown to it on the way would
+        be a leak. So the curve is made of whole fits: a method's labels that differ in ``steps``
+        are its points, and between two of them a crossing is a bound from either side. A fit has
+        reached a method where its number is no worse and the clip is not too short to call it.
     """
     instant = [label for label in psnr_db if label not in fits]
-    own_label = next((label for label in run.ours_first if label in instant and label in run.ours), None)
-    rivals = [label for label in (own_label, next((name for name in instant if name.startswith("enerf")), None)) if label]
+    own_label = next(
+        (label for label in run.ours_first if label in instant and label in run.ours), None
+    )
+    rivals = [
+        label
+        for label in (own_label, next((name for name in instant if name.startswith("enerf")), None))
+        if label
+    ]
     if not rivals:
         return None
     families: dict[str, list[str]] = {}
     for label in fits:
         families.setdefault(without_option(label, "steps"), []).append(label)
-    targets = {f"{STATED_DB:g} dB": {label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits}}
+    targets = {
+        f"{STATED_DB:g} dB": {
+            label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits
+        }
+    }
     for rival in reversed(rivals):
-        times = {label: _reached(result.outcome, result.difference) for label, result in _against(run, rival, fits).items()}
+        times = {
+            label: _reached(result.outcome, result.difference)
+            for label, result in _against(run, rival, fits).items()
+        }
         targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": times} | targets
-    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
+    columns = tuple(
+        Column(name=name, unit="s", higher_is_better=False, describe="Seconds of one fold's fit.")
+        for name in targets
+    )
     rows = []
     for family, labels in families.items():
-        points = [sorted((fit_seconds(fits[name]), psnr_db[name], times[name]) for name in labels) for times in targets.values()]
+        points = [
+            sorted((fit_seconds(fits[name]), psnr_db[name], times[name]) for name in labels)
+            for times in targets.values()
+        ]
         rows.append(Row(run.name(family), tuple(map(_crossing, points))))
-    caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"
-    return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
+    caption = (
+        f"Seconds of fitting until a method's PSNR on held-out views is that of a method "
+        f"that needs no fit. {POINTS}"
+    )
+    return Table(
+        key="equal_quality",
+        title="Cost at equal quality",
+        caption=caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
 def _reached(outcome: Outcome, ahead_db: float) -> Outcome:
-    """Outcome against a target, ``worse`` wherever the number falls short of it and the clip is long enough to say so."""
+    """Outcome against a target, ``worse`` wherever the number falls short of it and the clip is
+    long enough to say so.
+    """
     return outcome if outcome in ("too short", "untested") or ahead_db >= 0 else "worse"
 
 
 def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
-    """Return the first of some (seconds, dB, outcome against a target), ascending in seconds, that is not worse than the target.
+    """Return the first of some (seconds, dB, outcome against a target), ascending in seconds, that
+    is not worse than the target.
 
     The cell is a bound, as the truth is between two points.
     """
     at = next((at for at, (*_, outcome) in enumerate(points) if outcome != "worse"), None)
     if at is None:
         seconds, best_db, _ = max(points, key=lambda point: point[1])
-        return Cell("not reached", note=f"{best_db:.2f} dB at best, after {format_value(seconds)} s")
+        return Cell(
+            "not reached", note=f"{best_db:.2f} dB at best, after {format_value(seconds)} s"
+        )
     seconds, reached_db, outcome = points[at]
     if outcome in ("too short", "untested"):
         return Cell(OUTCOMES[outcome], note=f"{reached_db:.2f} dB after {format_value(seconds)} s")
@@ -300,13 +455,17 @@ def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
     return Cell(format_value(seconds), seconds, bound="at most", beside=before)
 
 
-def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
-    """Return the best PSNR that a budget of seconds buys; a line for each budget from which another method is best.
+def _winners(
+    run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]
+) -> Table | None:
+    """Return the best PSNR that a budget of seconds buys.
+
+    A line for each budget from which another method is best.
 
     Reading:
-        A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit becomes the best only where it
-        is judged better than the best before it, among all that are dearer: what cannot be distinguished, or is too short to
-        call, is not worth the wait.
+        A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit
+        becomes the best only where it is judged better than the best before it, among all that are
+        dearer: what cannot be distinguished, or is too short to call, is not worth the wait.
     """
     cost_s = {label: fit_seconds(fits[label]) if label in fits else 0.0 for label in psnr_db}
     by_cost = sorted(psnr_db, key=lambda label: (cost_s[label], -psnr_db[label]))
@@ -317,50 +476,94 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
         number = Cell(format_value(psnr_db[best], run.metrics["PSNR"].decimals), psnr_db[best])
         rows.append(run.row(best, (from_s, number, ahead)))
         judged = _against(run, best, by_cost[by_cost.index(best) + 1 :])
-        best = next((label for label, comparison in judged.items() if comparison.outcome == "better"), "")
+        best = next(
+            (label for label, comparison in judged.items() if comparison.outcome == "better"), ""
+        )
         ahead = difference_cell(run.metrics["PSNR"], judged.get(best))
     columns = (
-        Column("fitting", "s", None, "Seconds of one fold's fit: the budget from which this method is best."),
-        Column("PSNR", "dB", None, "Mean of the held-out views."),
-        Column("ahead of the line above", "dB", None, "Paired difference with its interval."),
+        Column(
+            name="fitting",
+            unit="s",
+            higher_is_better=None,
+            describe="Seconds of one fold's fit: the budget from which this method is best.",
+        ),
+        Column(
+            name="PSNR", unit="dB", higher_is_better=None, describe="Mean of the held-out views."
+        ),
+        Column(
+            name="ahead of the line above",
+            unit="dB",
+            higher_is_better=None,
+            describe="Paired difference with its interval.",
+        ),
     )
     caption = (
-        "Best method for each waiting time before the first frame. Omitted: slower and not better, or the clip is too short "
-        f"to decide. {POINTS}"
+        "Best method for each waiting time before the first frame. Omitted: slower and not "
+        f"better, or the clip is too short to decide. {POINTS}"
     )
-    return Table("budget", "Best method per budget", caption, columns, tuple(rows), run.scene)
+    return Table(
+        key="budget",
+        title="Best method per budget",
+        caption=caption,
+        columns=columns,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
 def differences_table(run: MeasuredRun) -> Table | None:
-    """Return the table of differences that no protocol can remove; None for runs scored before they were recorded."""
+    """Return the table of differences that no protocol can remove.
+
+    None for runs scored before they were recorded.
+    """
     declared = read_json(run.folder.root / METHODS_FILE).get("declared")
     if declared is None:
         return None
     rows = [
-        run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN_DIFFERENCE)) for column in DIFFERENCE_COLUMNS])
+        run.row(
+            label,
+            [
+                Cell(declared.get(label, {}).get(column.name, UNKNOWN_DIFFERENCE))
+                for column in DIFFERENCE_COLUMNS
+            ],
+        )
         for label in run.labels
     ]
     caption = f"Differences that no protocol can remove. The same for all: {_same(run)}."
-    return Table("differences", "Differences between the methods", caption, DIFFERENCE_COLUMNS, tuple(rows), run.scene)
+    return Table(
+        key="differences",
+        title="Differences between the methods",
+        caption=caption,
+        columns=DIFFERENCE_COLUMNS,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
 def _same(run: MeasuredRun) -> str:
     protocol, synthesis = run.protocol, run.protocol.synthesis
-    sources = "" if run.from_sources.isdisjoint(run.labels) else f"K = {synthesis.k} sources for those that render from sources; "
+    sources = (
+        ""
+        if run.from_sources.isdisjoint(run.labels)
+        else f"K = {synthesis.k} sources for those that render from sources; "
+    )
     way = measuring_way(protocol.measurement)
     way_text = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
     return (
-        f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
-        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; {sources}"
-        f"scores from 8-bit images on disk{way_text} by one implementation of each metric"
+        f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of "
+        f"the depth for it; {protocol.frames.count} frames of {size}, resized by "
+        f"{synthesis.resize_filter}; {sources}scores from 8-bit images on disk{way_text} by one "
+        "implementation of each metric"
     )
 
 
 def costs_section(report: Report) -> SectionContent:
     """Return the tables of each run, and of each group the price of being online."""
     content = tables_of_runs(_tables, "timing")(report)
-    prices = {group.id: price_tables([*group.runs.values()], group.results) for group in report.groups}
+    prices = {
+        group.id: price_tables([*group.runs.values()], group.results) for group in report.groups
+    }
     return replace(content, tables={**prices, **content.tables})
 
 

@@ -20,7 +20,9 @@ def steadiness_table(
     not_computed: Mapping[str, Mapping[str, str]],
     where: str,
 ) -> Table:
-    """Return one row per video, one column per metric; the sharpness follows the first value that blur would improve.
+    """Return one row per video, one column per metric.
+
+    The sharpness follows the first value that blur would improve.
 
     Args:
         metrics: metric -> its note as JSON values.
@@ -34,18 +36,33 @@ def steadiness_table(
         Row(
             name,
             tuple(
-                measured_cell(row.get(note.name), not_computed[name].get(note.name, ""), None, note.decimals) for note in notes
+                measured_cell(
+                    row.get(note.name), not_computed[name].get(note.name, ""), None, note.decimals
+                )
+                for note in notes
             ),
         )
         for name, row in values.items()
     ]
-    caption = f"Mean over the frames, {where}, without reference. Blur is stable too: read each value with the sharpness."
-    return Table("steadiness", notes[0].group_title, caption, columns, rank(columns, rows))
+    caption = (
+        f"Mean over the frames, {where}, without reference. Blur is stable too: read each "
+        f"value with the sharpness."
+    )
+    return Table(
+        key="steadiness",
+        title=notes[0].group_title,
+        caption=caption,
+        columns=columns,
+        rows=rank(columns, rows),
+    )
 
 
 def remarks_on(shapes: Mapping[str, str]) -> list[str]:
     """State number and size of the frames of each video, and whether these are comparable."""
-    return [*(f"{name}: {shape}" for name, shape in shapes.items()), *([UNLIKE] if len(set(shapes.values())) > 1 else [])]
+    return [
+        *(f"{name}: {shape}" for name, shape in shapes.items()),
+        *([UNLIKE] if len(set(shapes.values())) > 1 else []),
+    ]
 
 
 def write_steadiness(out: Path, table: Table, remarks: list[str]) -> None:

@@ -59,11 +59,16 @@ WRITTEN = re.compile(rb"<dcterms:(created|modified)[^>]*>[^<]*</dcterms:\1>")
 
 
 def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
-    """GitHub's tables, best values bold, intervals behind them, published rows in italics, notes as a closing list."""
+    """GitHub's tables, best values bold, intervals behind them, published rows in italics, notes as
+    a closing list.
+    """
     parts = []
     for table in tables:
         heads = ["Method", *(escape_markdown(column.head) for column in table.columns)]
-        rows = [[_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)] for row in table.rows]
+        rows = [
+            [_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)]
+            for row in table.rows
+        ]
         head = f"## {escape_markdown(_title(table))}\n\n{escape_markdown(table.caption)}\n\n"
         note = f"\n\n{escape_markdown(_note(table))}" if _note(table) else ""
         parts.append(head + markdown_table(heads, rows) + note)
@@ -71,7 +76,9 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
 
 
-def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
+def markdown_table(
+    heads: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)
+) -> str:
     """Return a table in GitHub's Markdown.
 
     Args:
@@ -79,14 +86,19 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
         words: columns that are set to the left; the others hold numbers.
     """
     rule = "".join("---|" if at in words else "---:|" for at in range(len(heads)))
-    return "\n".join([f"| {' | '.join(heads)} |", f"|{rule}", *(f"| {' | '.join(row)} |" for row in rows)])
+    return "\n".join(
+        [f"| {' | '.join(heads)} |", f"|{rule}", *(f"| {' | '.join(row)} |" for row in rows)]
+    )
 
 
 def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
-    """Return one line per cell, values and bounds unrounded; ``shown`` is what every other format prints.
+    """Return one line per cell, values and bounds unrounded.
+
+    ``shown`` is what every other format prints.
 
     Args:
-        groups: a protocol, or None, and the tables of what was measured under it; values of different protocols do not compare.
+        groups: a protocol, or None, and the tables of what was measured under it; values of
+            different protocols do not compare.
     """
     rows: list[Sequence[object]] = []
     for protocol, tables in groups:
@@ -94,20 +106,33 @@ def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
         for table in tables:
             for row in table.rows:
                 for column, cell in zip(table.columns, row.cells, strict=True):
-                    head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
+                    head = [
+                        table.key,
+                        table.dataset,
+                        row.name,
+                        row.kind,
+                        column.name,
+                        column.unit,
+                        column.higher_is_better,
+                    ]
                     rows.append([*head, *_csv_cell(cell), *terms])
     return csv_text(CSV_HEAD, rows)
 
 
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    r"""Return the lines of CSV; a text that a spreadsheet would compute, as a method called ``=A1``, has an apostrophe before it.
+    r"""Return the lines of CSV.
+
+    A text that a spreadsheet would compute, as a method called ``=A1``, has an apostrophe before
+    it.
 
     Examples:
         >>> csv_text(["name", "shown"], [["=A1", "-0.5"]])
         "name,shown\n'=A1,-0.5\n"
     """
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *(map(_plain_cell, row) for row in rows)])
+    csv.writer(text, lineterminator="\n").writerows(
+        [head, *(map(_plain_cell, row) for row in rows)]
+    )
     return text.getvalue()
 
 
@@ -122,19 +147,34 @@ def _plain_cell(cell: object) -> object:
 
 
 def _csv_cell(cell: Cell) -> list[object]:
-    """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why something is absent."""
+    """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why
+    something is absent.
+    """
     if cell.value is None:
         return ["", "", "", cell.shown, False, cell.note or cell.shown]
     bounds = ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
-    return [repr(cell.value), *bounds, cell.shown, cell.best, cell.note if cell.low is not None else cell.hint]
+    return [
+        repr(cell.value),
+        *bounds,
+        cell.shown,
+        cell.best,
+        cell.note if cell.low is not None else cell.hint,
+    ]
 
 
 def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     """``table`` environments for booktabs and xcolor, shaded as the paper's."""
     comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
     breaks = ["\\clearpage\n" if at and at % HELD_BACK == 0 else "" for at in range(len(tables))]
-    floats = ("\n".join([head, *rows, foot]) + "\n" for head, rows, foot in map(latex_parts, tables))
-    return _latex_head(tables) + comments + "\n" + "\n".join(map("".join, zip(breaks, floats, strict=True)))
+    floats = (
+        "\n".join([head, *rows, foot]) + "\n" for head, rows, foot in map(latex_parts, tables)
+    )
+    return (
+        _latex_head(tables)
+        + comments
+        + "\n"
+        + "\n".join(map("".join, zip(breaks, floats, strict=True)))
+    )
 
 
 def _latex_head(tables: Sequence[Table]) -> str:
@@ -142,9 +182,13 @@ def _latex_head(tables: Sequence[Table]) -> str:
     rows = [row for table in tables for row in table.rows]
     cells = [cell for row in rows for cell in row.cells]
     marks = {
-        "Blue: the better half of each column, deeper towards its best value.": any(cell.shade for cell in cells),
+        "Blue: the better half of each column, deeper towards its best value.": any(
+            cell.shade for cell in cells
+        ),
         "Bold: best, or not significantly worse.": any(cell.best for cell in cells),
-        "Grey rows: published values, measured by others under other conditions.": any(row.kind == "published" for row in rows),
+        "Grey rows: published values, measured by others under other conditions.": any(
+            row.kind == "published" for row in rows
+        ),
     }
     return LATEX_HEAD % "".join(f"% {words}\n" for words, is_used in marks.items() if is_used)
 
@@ -155,9 +199,15 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_prose(text: str) -> str:
-    """Return a caption or note, its code spans as code; a backtick would print as a quotation mark."""
+    """Return a caption or note, its code spans as code.
+
+    A backtick would print as a quotation mark.
+    """
     parts = re.split(r"`([^`]*)`", text)
-    return "".join(rf"\texttt{{{escape_latex(part)}}}" if at % 2 else _escape_part(part) for at, part in enumerate(parts))
+    return "".join(
+        rf"\texttt{{{escape_latex(part)}}}" if at % 2 else _escape_part(part)
+        for at, part in enumerate(parts)
+    )
 
 
 def _escape_part(text: str) -> str:
@@ -167,17 +217,27 @@ def _escape_part(text: str) -> str:
 
 
 def latex_parts(table: Table) -> tuple[str, list[str], str]:
-    """A ``table`` environment: what comes before its rows, each row, and what comes behind them; grey rows follow a rule."""
+    """A ``table`` environment: what comes before its rows, each row, and what comes behind them.
+
+    Grey rows follow a rule.
+    """
     heads = [escape_latex(column.head) for column in table.columns]
     body: list[str] = []
     for above, row in zip((None, *table.rows), table.rows, strict=False):
         rule = "\\midrule\n" if above is not None and row.is_grey and not above.is_grey else ""
-        body.append(rule + " & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
+        body.append(
+            rule
+            + " & ".join(
+                [_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]
+            )
+            + r" \\"
+        )
     note = _note(table)
     label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
     head = [
         r"\begin{table}",
-        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {_latex_prose(table.caption)}}}",
+        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} "
+        rf"{_latex_prose(table.caption)}}}",
         r"\centering\small",
         r"\fittowidth{%",
         rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}",
@@ -188,18 +248,33 @@ def latex_parts(table: Table) -> tuple[str, list[str], str]:
     foot = [
         r"\bottomrule",
         r"\end{tabular}}",
-        *([rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize {_latex_prose(note)}\end{{minipage}}"] if note else []),
+        *(
+            [
+                rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize "
+                rf"{_latex_prose(note)}\end{{minipage}}"
+            ]
+            if note
+            else []
+        ),
         r"\end{table}",
     ]
     return "\n".join(head), body, "\n".join(foot)
 
 
 def copyable(table: Table) -> dict[str, tuple[str, list[str], str]]:
-    """Format -> the text before the rows, of each row, and behind them, so that a page can copy the rows that it shows.
+    """Format -> the text before the rows, of each row, and behind them, so that a page can copy the
+    rows that it shows.
 
-    As CSV a method is a line: its values unrounded, in front of their bounds where the column has intervals.
+    As CSV a method is a line: its values unrounded, in front of their bounds where the column has
+    intervals.
     """
-    names, bounded = ["Method"], [any(row.cells[at].low is not None for row in table.rows) for at in range(len(table.columns))]
+    names, bounded = (
+        ["Method"],
+        [
+            any(row.cells[at].low is not None for row in table.rows)
+            for at in range(len(table.columns))
+        ],
+    )
     for column, has_bounds in zip(table.columns, bounded, strict=True):
         name = f"{column.name} ({column.unit})" if column.unit else column.name
         names += [name, *([f"{name} low", f"{name} high"] if has_bounds else [])]
@@ -208,10 +283,17 @@ def copyable(table: Table) -> dict[str, tuple[str, list[str], str]]:
         cells: list[object] = [row.name]
         for cell, has_bounds in zip(row.cells, bounded, strict=True):
             cells.append(cell.shown if cell.value is None else repr(cell.value))
-            cells += ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)] if has_bounds else []
+            cells += (
+                ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
+                if has_bounds
+                else []
+            )
         lines.append(csv_text(names, [cells]).removeprefix(csv_head).rstrip("\n"))
     head, rows, foot = latex_parts(table)
-    return {"latex": (f"{_latex_head([table])}\n{head}", rows, foot), "csv": (csv_head.rstrip("\n"), lines, "")}
+    return {
+        "latex": (f"{_latex_head([table])}\n{head}", rows, foot),
+        "csv": (csv_head.rstrip("\n"), lines, ""),
+    }
 
 
 def _latex_cell(row: Row, cell: Cell) -> str:
@@ -235,7 +317,9 @@ def _title(table: Table) -> str:
 
 
 def _note(table: Table) -> str:
-    """Return the text below a table: its note, and the units, which papers leave out of the heads."""
+    """Return the text below a table: its note, and the units, which papers leave out of the
+    heads.
+    """
     by_unit: dict[str, list[str]] = {}
     for column in table.columns:
         by_unit.setdefault(column.unit, []).append(column.name)
@@ -281,7 +365,9 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
             pd.read_csv(io.StringIO(text), keep_default_na=False).to_excel(
                 writer, sheet_name=_sheet_name(name, names), index=False
             )
-        for cell in (cell for sheet in writer.sheets.values() for row in sheet.iter_rows() for cell in row):
+        for cell in (
+            cell for sheet in writer.sheets.values() for row in sheet.iter_rows() for cell in row
+        ):
             if isinstance(cell.value, str):
                 cell.data_type = "s"  # a method called ``=A1`` is a name, no formula
     write_bytes(out, _without_dates(content.getvalue()))
@@ -289,9 +375,18 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
 
 
 def _frame(table: Table) -> pd.DataFrame:
-    heads = [f"{column.name} ({column.unit})" if column.unit else column.name for column in table.columns]
-    cells = [[cell.value if _is_number(cell) else cell.shown for cell in row.cells] for row in table.rows]
-    return pd.DataFrame(cells, index=pd.Index([row.name for row in table.rows], name="Method"), columns=heads, dtype=object)
+    heads = [
+        f"{column.name} ({column.unit})" if column.unit else column.name for column in table.columns
+    ]
+    cells = [
+        [cell.value if _is_number(cell) else cell.shown for cell in row.cells] for row in table.rows
+    ]
+    return pd.DataFrame(
+        cells,
+        index=pd.Index([row.name for row in table.rows], name="Method"),
+        columns=heads,
+        dtype=object,
+    )
 
 
 def _dress(sheet: Any, table: Table) -> None:
@@ -310,7 +405,9 @@ def _dress(sheet: Any, table: Table) -> None:
     sheet.column_dimensions["A"].width = max([10, *(len(row.name) for row in table.rows)])
     for across, cells in enumerate(zip(*(row.cells for row in table.rows), strict=True), start=2):
         # A number that is wider than its column is shown as hashes; words run over or are cut.
-        widest = max((len(f"{cell.shown} {cell.spread}") for cell in cells if _is_number(cell)), default=0)
+        widest = max(
+            (len(f"{cell.shown} {cell.spread}") for cell in cells if _is_number(cell)), default=0
+        )
         sheet.column_dimensions[sheet.cell(1, across).column_letter].width = max(10, widest + 2)
     sheet.freeze_panes = "B2"
 
@@ -320,7 +417,9 @@ def _is_number(cell: Cell) -> bool:
 
 
 def _number_format(cell: Cell) -> str:
-    """Return the decimals, sign and words with which every other format shows the cell, and its interval."""
+    """Return the decimals, sign and words with which every other format shows the cell, and its
+    interval.
+    """
     decimals = len(cell.text.partition(".")[2])
     sign = cell.text[0] if cell.text[0] in "+−" else ""
     before = f"{cell.bound} {sign}" if cell.bound else sign
@@ -328,7 +427,8 @@ def _number_format(cell: Cell) -> str:
     digits = "#,##0" if "," in cell.text else "0"
     number = f"{digits}.{'0' * decimals}" if decimals else digits
     pattern = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
-    return f"{pattern};{pattern}" if sign == "−" else pattern  # in a separate part a negative number has no other sign
+    # in a separate part a negative number has no other sign
+    return f"{pattern};{pattern}" if sign == "−" else pattern
 
 
 def _sheet_name(title: str, names: Sequence[str]) -> str:
@@ -344,7 +444,12 @@ def _sheet_name(title: str, names: Sequence[str]) -> str:
 def _without_dates(workbook: bytes) -> bytes:
     """Return the same archive without the time at which it was written."""
     out = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(workbook)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+    with (
+        zipfile.ZipFile(io.BytesIO(workbook)) as old,
+        zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new,
+    ):
         for name in sorted(old.namelist()):
-            new.writestr(zipfile.ZipInfo(name, EPOCH), WRITTEN.sub(b"", old.read(name)), zipfile.ZIP_DEFLATED)
+            new.writestr(
+                zipfile.ZipInfo(name, EPOCH), WRITTEN.sub(b"", old.read(name)), zipfile.ZIP_DEFLATED
+            )
     return out.getvalue()

@@ -17,19 +17,33 @@ TOTAL = "total"
 
 @lru_cache(maxsize=RUNS_KEPT)
 def timing_table(run: MeasuredRun) -> Table:
-    """Median and 95th percentile of each stage's time in milliseconds, over all views, without each view's first frame.
+    """Median and 95th percentile of each stage's time in milliseconds, over all views, without each
+    view's first frame.
 
     Reading:
-        The first frame of a view pays for caches and has no history, so it is no steady state; a run of one frame has no other
-        and the caption says so.
+        The first frame of a view pays for caches and has no history, so it is no steady state; a
+        run of one frame has no other and the caption says so.
     """
     jobs = {label: render_records(run, label) for label in run.labels}
     first = min(1, run.protocol.frames.count - 1)
     times = {label: _stage_seconds(records, first) for label, records in jobs.items()}
-    stages = [*dict.fromkeys(stage for stages in times.values() for stage in stages if stage != TOTAL), TOTAL]
+    stages = [
+        *dict.fromkeys(stage for stages in times.values() for stage in stages if stage != TOTAL),
+        TOTAL,
+    ]
     columns = tuple(Column(stage, "ms", False) for stage in stages)
-    rows = [run.row(label, [_stage_cell(times[label], stage) for stage in stages]) for label in run.labels]
-    return Table("timing", "Time per frame", _caption(run, jobs, first), columns, tuple(rows), run.scene)
+    rows = [
+        run.row(label, [_stage_cell(times[label], stage) for stage in stages])
+        for label in run.labels
+    ]
+    return Table(
+        key="timing",
+        title="Time per frame",
+        caption=_caption(run, jobs, first),
+        columns=columns,
+        rows=tuple(rows),
+        dataset=run.scene,
+    )
 
 
 def render_records(run: MeasuredRun, label: str) -> list[dict[str, Any]]:
@@ -39,10 +53,15 @@ def render_records(run: MeasuredRun, label: str) -> list[dict[str, Any]]:
 
 
 def _stage_seconds(records: Sequence[dict[str, Any]], first: int) -> dict[str, list[float]]:
-    """Return the seconds of each stage and of their sum, frames `first`.. of all views in one list."""
+    """Return the seconds of each stage and of their sum, frames `first`..
+
+    Of all views in one list.
+    """
     stages: dict[str, list[float]] = {}
     for record in records:
-        stage_values = {stage: values[first:] for stage, values in record.get("seconds", {}).items()}
+        stage_values = {
+            stage: values[first:] for stage, values in record.get("seconds", {}).items()
+        }
         for stage, values in stage_values.items():
             stages.setdefault(stage, []).extend(values)
         if stage_values:
@@ -62,9 +81,22 @@ def _stage_cell(stages: dict[str, list[float]], stage: str) -> Cell:
 def _caption(run: MeasuredRun, jobs: dict[str, list[dict[str, Any]]], first: int) -> str:
     if not any(jobs.values()):
         return "No times: others rendered these frames."
-    height, width = read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])).shape[:2]
-    threads = sorted({record["threads"] for records in jobs.values() for record in records if "threads" in record})
-    on = f"{' or '.join(map(str, threads))} thread{'' if threads == [1] else 's'}" if threads else "threads not recorded"
+    height, width = read_image(
+        frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])
+    ).shape[:2]
+    threads = sorted(
+        {
+            record["threads"]
+            for records in jobs.values()
+            for record in records
+            if "threads" in record
+        }
+    )
+    on = (
+        f"{' or '.join(map(str, threads))} thread{'' if threads == [1] else 's'}"
+        if threads
+        else "threads not recorded"
+    )
     left_out = "each view's first frame left out" if first else "of the only frame of each view"
     size = ", ".join(filter(None, (run.sources_text, f"{width} × {height}", on)))
     return f"Median (95th percentile), {left_out}; {size}; reading and writing of files excluded."
@@ -80,12 +112,16 @@ TIMINGS = {  # of the paper -> the stage here that does what its time is of
 }
 
 
-def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: float) -> tuple[Cell | None, str]:
-    """Return the time of a stage here and what it is against the paper's, or None and why there is none.
+def evaluate_time(
+    runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: float
+) -> tuple[Cell | None, str]:
+    """Return the time of a stage here and what it is against the paper's, or None and why there is
+    none.
 
     Reading:
-        A time belongs to its machine: the paper's is a GPU that it does not name, this one is the machine of the run. So it is
-        set next to the paper's with the ratio of the two, and never called reproduced.
+        A time belongs to its machine: the paper's is a GPU that it does not name, this one is the
+        machine of the run. So it is set next to the paper's with the ratio of the two, and never
+        called reproduced.
     """
     stage = TIMINGS[key]
     if stage is None:
@@ -95,11 +131,17 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
         return None, f"no time of stage {stage} recorded"
     value = float(np.mean(times_ms))
     ratio = f"{value / paper_ms:.2g} times the paper's" if paper_ms else "the paper has 0"
-    return Cell(f"{value:.1f}", value), f"{ratio}; median of a frame on the machine of this run, the paper's on an unnamed GPU"
+    return Cell(
+        f"{value:.1f}", value
+    ), f"{ratio}; median of a frame on the machine of this run, the paper's on an unnamed GPU"
 
 
 def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:
     """Return the median milliseconds of a stage of one method; None if none were recorded."""
     table = timing_table(run)
     column = next((at for at, column in enumerate(table.columns) if column.name == stage), None)
-    return None if column is None or label not in run.labels else table.rows[run.labels.index(label)].cells[column].value
+    return (
+        None
+        if column is None or label not in run.labels
+        else table.rows[run.labels.index(label)].cells[column].value
+    )

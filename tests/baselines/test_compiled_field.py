@@ -1,4 +1,6 @@
-"""The compiled deformation field against its torch twin, forward and backward, its bits, and what it refuses."""
+"""The compiled deformation field against its torch twin, forward and backward, its bits, and what
+it refuses.
+"""
 
 from dataclasses import replace
 
@@ -7,7 +9,12 @@ import pytest
 import torch
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.fitted.hexplane import HEADS, DeformationNetwork, FieldConfiguration, compact
+from ggvs_eval.baselines.fitted.hexplane import (
+    HEADS,
+    DeformationNetwork,
+    FieldConfiguration,
+    compact,
+)
 from ggvs_eval.kernels import _deformation
 from helpers.refusals import refused
 
@@ -21,8 +28,11 @@ FIELDS = {
 }
 
 
-def everything(configuration: FieldConfiguration, dtype: torch.dtype, count: int = 301, spoilt: bool = False) -> Tensors:
-    """Outputs of a seeded field, and derivatives of a random weighting of them; every third point's outputs count for nothing.
+def everything(
+    configuration: FieldConfiguration, dtype: torch.dtype, count: int = 301, spoilt: bool = False
+) -> Tensors:
+    """Outputs of a seeded field, and derivatives of a random weighting of them; every third point's
+    outputs count for nothing.
 
     Args:
         configuration: of the field.
@@ -41,27 +51,50 @@ def everything(configuration: FieldConfiguration, dtype: torch.dtype, count: int
         points[0, 1], points[1, 2] = torch.nan, torch.inf
     points.requires_grad_()
     outputs = network(points, 0.37)
-    weights = torch.randn(count, sum(HEADS.values()), generator=draw) * (torch.arange(count) % 3 > 0)[:, None]
-    sum((weights[:, : output.shape[1]].to(dtype) * output).sum() for output in outputs.values()).backward()
-    gradients = {f"d {name}": value.grad for name, value in network.named_parameters() if value.grad is not None}
-    return {name: output.detach() for name, output in outputs.items()} | gradients | {"d points": points.grad}
+    weights = (
+        torch.randn(count, sum(HEADS.values()), generator=draw)
+        * (torch.arange(count) % 3 > 0)[:, None]
+    )
+    sum(
+        (weights[:, : output.shape[1]].to(dtype) * output).sum() for output in outputs.values()
+    ).backward()
+    gradients = {
+        f"d {name}": value.grad
+        for name, value in network.named_parameters()
+        if value.grad is not None
+    }
+    return (
+        {name: output.detach() for name, output in outputs.items()}
+        | gradients
+        | {"d points": points.grad}
+    )
 
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_kernel_and_twin_agree(name):
-    """Outputs and every derivative, with the twin in double precision, also of points outside the box."""
+    """Outputs and every derivative, with the twin in double precision, also of points outside the
+    box.
+    """
     ours, twin = everything(FIELDS[name], torch.float32), everything(FIELDS[name], torch.float64)
 
     assert ours.keys() == twin.keys()
     assert (twin["d points"][1::3] != 0).any()
     for each in twin:
-        np.testing.assert_allclose(ours[each], twin[each], atol=5e-5 * float(twin[each].abs().max()), rtol=1e-4, err_msg=each)
+        np.testing.assert_allclose(
+            ours[each],
+            twin[each],
+            atol=5e-5 * float(twin[each].abs().max()),
+            rtol=1e-4,
+            err_msg=each,
+        )
 
 
 def test_derivatives_are_finite_differences():
     """Those by points are what the outputs do when points move, in double precision by the twin."""
     torch.manual_seed(3)
-    network = DeformationNetwork(BOX, replace(compact(4, 0), levels=(4, 7), channels=3, width=6, heads=("pos",))).double()
+    network = DeformationNetwork(
+        BOX, replace(compact(4, 0), levels=(4, 7), channels=3, width=6, heads=("pos",))
+    ).double()
     torch.nn.init.normal_(network.deformation_net.pos_deform[3].weight)
     points = (2 * torch.rand(5, 3, dtype=torch.float64) - 1).requires_grad_()
 
@@ -90,7 +123,10 @@ def test_arrays_that_do_not_fit_are_refused():
     layers = tuple(np.zeros(shape, np.float32) for shape in ((6, 8), 6, (6, 6), 6, (2, 6), 2))
     settings = 1, 0
 
-    assert _deformation.evaluate(points, box, 0.0, planes, axes, layers, *settings)[0].shape == (4, 2)
+    assert _deformation.evaluate(points, box, 0.0, planes, axes, layers, *settings)[0].shape == (
+        4,
+        2,
+    )
     with refused(TypeError, "points", "float32 (4, 3)", "float64"):
         _deformation.evaluate(points.astype(float), box, 0.0, planes, axes, layers, *settings)
     wrong = (np.zeros((6, 9), np.float32), *layers[1:])

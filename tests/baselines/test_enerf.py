@@ -1,4 +1,6 @@
-"""ENeRF: names and shapes of the published checkpoint, outputs equal to the authors', and the method as a whole."""
+"""ENeRF: names and shapes of the published checkpoint, outputs equal to the authors', and the
+method as a whole.
+"""
 
 import json
 from dataclasses import replace
@@ -50,10 +52,14 @@ def small_target(views):
 
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
-    """Every parameter and buffer of the authors' network exists under its name with its shape, and no other."""
+    """Every parameter and buffer of the authors' network exists under its name with its shape, and
+    no other.
+    """
     oracle = json.loads((DATA_FOLDER / "enerf_state_dict.json").read_text())
     networks = Networks()
-    assert {name: list(tensor.shape) for name, tensor in networks.state_dict().items()} == oracle["net"]
+    assert {name: list(tensor.shape) for name, tensor in networks.state_dict().items()} == oracle[
+        "net"
+    ]
     assert sum(parameter.numel() for parameter in networks.parameters()) == oracle["n_params"]
 
 
@@ -73,7 +79,9 @@ def test_the_other_networks_are_the_authors(networks, golden):
         volume = torch.from_numpy(rng.uniform(0, 1, (1, width, 8, 8, columns))).float()
         features, scores = networks.get_submodule(f"cost_reg_{level}")(volume)
         np.testing.assert_allclose(scores[0], golden[f"scores_{name}"], atol=1e-4)
-        np.testing.assert_allclose(features[0, :, ::2, ::2, ::2], golden[f"features_{name}"], atol=1e-4)
+        np.testing.assert_allclose(
+            features[0, :, ::2, ::2, ::2], golden[f"features_{name}"], atol=1e-4
+        )
     voxels = torch.from_numpy(rng.normal(size=(40, 8))).float()
     seen = torch.from_numpy(rng.normal(size=(40, 4, 39))).float()
     seen[..., 32:35] = torch.sigmoid(seen[..., 32:35])
@@ -83,30 +91,45 @@ def test_the_other_networks_are_the_authors(networks, golden):
 
 
 def test_rendered_pixels_are_the_authors(networks, golden):
-    """Every 7th pixel of a turned rig, by both volumes and two samples, agrees with the authors' to 1e-4 in colour and depth."""
+    """Every 7th pixel of a turned rig, by both volumes and two samples, agrees with the authors' to
+    1e-4 in colour and depth.
+    """
     instant = turned_rig(3)
     views = [see(networks.feature_net, source) for source in instant.sources]
-    surface = find_surface(networks, views, target_grid(instant.target), *instant.depth_range, planes=32)
+    surface = find_surface(
+        networks, views, target_grid(instant.target), *instant.depth_range, planes=32
+    )
     rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)).float()[::7]
     pixels = torch.arange(64 * 96)[::7]
     centre = torch.from_numpy(instant.target.centre).float()
-    colours, depth = render_pixels(networks, views, surface, centre, rays, (pixels // 96, pixels % 96))
+    colours, depth = render_pixels(
+        networks, views, surface, centre, rays, (pixels // 96, pixels % 96)
+    )
     np.testing.assert_allclose(colours, golden["rgb"], atol=1e-4)
     np.testing.assert_allclose(depth, golden["depth"], atol=1e-4)
     assert golden["rgb"].std() > 0.1
 
 
 def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
-    """A file in the authors' format, with and without ``module.``, becomes the networks, bit for bit."""
-    torch.save({"net": {f"module.{name}": tensor for name, tensor in networks.state_dict().items()}}, tmp_path / "parallel.pth")
+    """A file in the authors' format, with and without ``module.``, becomes the networks, bit for
+    bit.
+    """
+    torch.save(
+        {"net": {f"module.{name}": tensor for name, tensor in networks.state_dict().items()}},
+        tmp_path / "parallel.pth",
+    )
     for path in (weights, tmp_path / "parallel.pth"):
         loaded = load_enerf(path).state_dict()
-        assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
+        assert all(
+            torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items()
+        )
 
 
 @pytest.mark.parametrize("views", [2, 5])
 def test_a_step_gives_a_picture(weights, views):
-    """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth within the range."""
+    """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth
+    within the range.
+    """
     instant = small_target(views)
     rendering = ENeRF(weights).step(instant)
     assert rendering.image.shape == (50, 38, 3)
@@ -122,26 +145,36 @@ def test_a_step_gives_a_picture(weights, views):
 
 @pytest.mark.usefixtures("torch_threads")
 def test_a_step_is_the_same_again(weights):
-    """Equal bits from a second object and with another number of threads, close ones with other chunks."""
+    """Equal bits from a second object and with another number of threads, close ones with other
+    chunks.
+    """
     instant = small_target(2)
     first = ENeRF(weights).step(instant).image
     torch.set_num_threads(2)
     assert np.array_equal(ENeRF(weights).step(instant).image, first)
     assert torch.get_num_threads() == 2
-    np.testing.assert_allclose(ENeRF(weights, pixels_per_chunk=101).step(instant).image, first, atol=1e-5)
+    np.testing.assert_allclose(
+        ENeRF(weights, pixels_per_chunk=101).step(instant).image, first, atol=1e-5
+    )
 
 
 def in_millimetres(camera):
     """The same camera in a world measured in thousandths."""
     world_to_camera = camera.world_to_camera.copy()
     world_to_camera[:3, 3] *= 1000
-    return replace(camera, world_to_camera=world_to_camera, near=1000 * camera.near, far=1000 * camera.far)
+    return replace(
+        camera, world_to_camera=world_to_camera, near=1000 * camera.near, far=1000 * camera.far
+    )
 
 
 def test_units_of_length_do_not_matter(weights):
-    """A scene in millimetres gives the picture of the same scene in metres, and a thousandfold depth."""
+    """A scene in millimetres gives the picture of the same scene in metres, and a thousandfold
+    depth.
+    """
     instant = small_target(2)
-    sources = tuple(replace(source, camera=in_millimetres(source.camera)) for source in instant.sources)
+    sources = tuple(
+        replace(source, camera=in_millimetres(source.camera)) for source in instant.sources
+    )
     scaled = replace(instant, target=in_millimetres(instant.target), sources=sources)
     once, again = ENeRF(weights).step(instant), ENeRF(weights).step(scaled)
     np.testing.assert_allclose(again.image, once.image, atol=1e-4)
@@ -149,7 +182,9 @@ def test_units_of_length_do_not_matter(weights):
 
 
 def test_too_little_is_refused(weights):
-    """One view, or a number of planes that cannot be halved twice, is refused with what is wanted."""
+    """One view, or a number of planes that cannot be halved twice, is refused with what is
+    wanted.
+    """
     instant = small_target(2)
     with refused(RenderError, "2 source views", "got 1"):
         ENeRF(weights).step(replace(instant, sources=instant.sources[:1]))

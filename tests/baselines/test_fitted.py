@@ -1,4 +1,6 @@
-"""Fits from their first points to a scene: what they recover, that they can be killed, and what they leave on disk."""
+"""Fits from their first points to a scene: what they recover, that they can be killed, and what
+they leave on disk.
+"""
 
 from dataclasses import replace
 
@@ -48,27 +50,47 @@ def quiet(folder, steps):
 
 @pytest.mark.slow
 def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
-    """From places in the middle of the clip, other colours and no velocities, to more than 40 dB, velocities within 5 %."""
+    """From places in the middle of the clip, other colours and no velocities, to more than 40 dB,
+    velocities within 5 %.
+    """
     random = np.random.default_rng(8)
     cloud = wall(across=10, down=7, colours=random.uniform(0.1, 0.9, (70, 3)), scale=0.12)
-    velocities = torch.from_numpy(random.normal(0, (0.15, 0.15, 0.05), (70, 3)).astype(np.float32))  # units per clip
-    footage = footage_of(lambda time: replace(cloud, means=cloud.means + (time - 0.5) * velocities), tmp_path, instants=5)
+    # units per clip
+    velocities = torch.from_numpy(random.normal(0, (0.15, 0.15, 0.05), (70, 3)).astype(np.float32))
+    footage = footage_of(
+        lambda time: replace(cloud, means=cloud.means + (time - 0.5) * velocities),
+        tmp_path,
+        instants=5,
+    )
     canonical = {name: tensor for name, tensor in cloud.parameters().items() if name != "sh"}
-    lasting = {"times": torch.full((70,), 0.5), "log_durations": torch.full((70,), 9.0), "velocities": torch.zeros(70, 1, 3)}
+    lasting = {
+        "times": torch.full((70,), 0.5),
+        "log_durations": torch.full((70,), 9.0),
+        "velocities": torch.zeros(70, 1, 3),
+    }
     colours = {"sh_base": cloud.sh[:, :1] + 0.1, "sh_rest": cloud.sh[:, 1:]}
     state = FitState({**canonical, **lasting, **colours}, LinearMotion())
     shots = Shots(footage, footage.indices, tmp_path)
 
     with one_thread():
-        optimise(state, shots, FitSchedule(600, density=None, measure_every=0), quiet(tmp_path, 600), None)
+        optimise(
+            state,
+            shots,
+            FitSchedule(600, density=None, measure_every=0),
+            quiet(tmp_path, 600),
+            None,
+        )
 
     errors = []
     with torch.no_grad():
         for shot in (shots.shot(ordinal) for ordinal in range(len(shots))):
             picture = render_gaussians(state.motion.cloud(state.gaussians, shot.time), shot.camera)
             errors.append(float((picture.image - shot.image).square().mean()))
-    visible = (cloud.means.abs() < torch.tensor([1.4, 1.0, 9.0])).all(dim=1)  # to all cameras, all the time
-    wrong = (state.gaussians["velocities"][:, 0].detach() - velocities)[visible].norm() / velocities[visible].norm()
+    # to all cameras, all the time
+    visible = (cloud.means.abs() < torch.tensor([1.4, 1.0, 9.0])).all(dim=1)
+    wrong = (state.gaussians["velocities"][:, 0].detach() - velocities)[
+        visible
+    ].norm() / velocities[visible].norm()
     assert int(visible.sum()) > 10
     assert -10 * np.log10(np.mean(errors)) > 40
     assert float(wrong) < 0.05
@@ -77,13 +99,21 @@ def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", [pytest.param("hexplane", marks=pytest.mark.proof), "linear"])
 def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_path):
-    """A camera that was held out is rendered at the last instant better by 2 dB than at the first one, which differs from it."""
+    """A camera that was held out is rendered at the last instant better by 2 dB than at the first
+    one, which differs from it.
+    """
     held = sliding_footage.cameras[2]
-    footage = replace(sliding_footage, cameras=tuple(camera for camera in sliding_footage.cameras if camera is not held))
+    footage = replace(
+        sliding_footage,
+        cameras=tuple(camera for camera in sliding_footage.cameras if camera is not held),
+    )
 
     scene = fitted(FourD(motion, steps=250, points=400, most=500), footage, tmp_path / motion)
 
-    first, last = (psnr_db(scene.render(index, held).image, sliding_footage.image(held.name, 3)) for index in (0, 3))
+    first, last = (
+        psnr_db(scene.render(index, held).image, sliding_footage.image(held.name, 3))
+        for index in (0, 3)
+    )
     assert last > 22
     assert last > first + 2
 
@@ -91,7 +121,9 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", [pytest.param("hexplane", marks=pytest.mark.proof), "linear"])
 def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path, kernel_settings):
-    """A fit that was killed after a checkpoint, and goes on with another number of threads, leaves the same bytes and curve."""
+    """A fit that was killed after a checkpoint, and goes on with another number of threads, leaves
+    the same bytes and curve.
+    """
     fitter = FourD(motion, **SHORT)
     whole = fitted(fitter, sliding_footage, tmp_path / "whole")
 
@@ -119,7 +151,9 @@ def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path,
 
 @pytest.mark.slow
 def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
-    """`3dgs-per-instant` gives an instant the same bytes, whatever the others are; it works on a single one."""
+    """`3dgs-per-instant` gives an instant the same bytes, whatever the others are; it works on a
+    single one.
+    """
     fitter = PerInstant(**SHORT | {"steps": 12})
     (tmp_path / "all").mkdir()
 
@@ -132,7 +166,9 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
     scene = fitted(fitter, sliding_footage, tmp_path / "all")
     fitted(fitter, replace(sliding_footage, indices=range(2, 3), fps=0.0), tmp_path / "one")
 
-    cloud, alone = (StoredScene(tmp_path / name / "000002.safetensors").gaussians for name in ("all", "one"))
+    cloud, alone = (
+        StoredScene(tmp_path / name / "000002.safetensors").gaussians for name in ("all", "one")
+    )
     assert all(torch.equal(cloud[name], alone[name]) for name in cloud)
     assert len(list((tmp_path / "all").glob("*.safetensors"))) == 4
     picture = scene.render(3, sliding_footage.cameras[0])
@@ -143,7 +179,9 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
 
 @pytest.mark.proof
 def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
-    """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its instants in any order."""
+    """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its
+    instants in any order.
+    """
     fitter = Stream(steps=60, transforming=40, spawning=8, spawned=40, points=400, most=500)
     whole = fitted(fitter, sliding_footage, tmp_path / "whole")
 
@@ -157,7 +195,9 @@ def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     scene = fitted(fitter, sliding_footage, tmp_path / "killed")
 
     files = sorted((tmp_path / "whole").glob("*.safetensors"))
-    assert [file.read_bytes() for file in files] == [(tmp_path / "killed" / file.name).read_bytes() for file in files]
+    assert [file.read_bytes() for file in files] == [
+        (tmp_path / "killed" / file.name).read_bytes() for file in files
+    ]
     assert len(files) == 4
     camera = sliding_footage.cameras[1]
     forward = [scene.render(index, camera).image for index in range(4)]
@@ -170,7 +210,9 @@ def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
 
 @pytest.mark.slow
 def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
-    """An unknown motion, a damaged state, a file that is no scene, and an instant that was not fitted are errors one can mend."""
+    """An unknown motion, a damaged state, a file that is no scene, and an instant that was not
+    fitted are errors one can mend.
+    """
     with refused(RenderError, "4dgs", "steps", "got 0"):
         FourD(steps=0)
     with refused(RenderError, "hexplane", "'liner'", "did you mean linear"):

@@ -33,7 +33,9 @@ def footage(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("label", FITTERS)
 def test_clouds_are_those_of_the_renders(label, footage, tmp_path):
-    """Every instant of every fitter, asked for in any order; a fit that is not finished is refused."""
+    """Every instant of every fitter, asked for in any order; a fit that is not finished is
+    refused.
+    """
     fitter = FITTERS[label]
     fitter.fit(footage, tmp_path, lambda done, steps: None)
     with refused(RenderError, str(tmp_path), "finished fit"):
@@ -44,5 +46,7 @@ def test_clouds_are_those_of_the_renders(label, footage, tmp_path):
     assert list(clouds.instants) == list(footage.indices)
     for index in (2, 0, 1):
         with torch.no_grad():
-            picture = render_gaussians(clouds.cloud(index), camera, near=NEAR_M * footage.units_per_metre)
+            picture = render_gaussians(
+                clouds.cloud(index), camera, near=NEAR_M * footage.units_per_metre
+            )
         assert np.array_equal(picture.image.clamp(max=1).numpy(), scene.render(index, camera).image)

@@ -1,4 +1,6 @@
-"""Parts of fitted methods: field, motions, loss, first points, density control, against formulas and outside references."""
+"""Parts of fitted methods: field, motions, loss, first points, density control, against formulas
+and outside references.
+"""
 
 import json
 from pathlib import Path
@@ -8,8 +10,20 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork, PlaneGrid, compact, read_deformation
-from ggvs_eval.baselines.fitted.optimiser import DensitySchedule, control_density, photometric_loss, rotated, structural_loss
+from ggvs_eval.baselines.fitted.hexplane import (
+    PUBLISHED,
+    DeformationNetwork,
+    PlaneGrid,
+    compact,
+    read_deformation,
+)
+from ggvs_eval.baselines.fitted.optimiser import (
+    DensitySchedule,
+    control_density,
+    photometric_loss,
+    rotated,
+    structural_loss,
+)
 from ggvs_eval.baselines.fitted.points import Points, initial_points
 from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.scene import (
@@ -37,7 +51,9 @@ def published_tensors() -> dict[str, torch.Tensor]:
     """A checkpoint of the authors' names and shapes, with seeded values."""
     generator = torch.Generator().manual_seed(4)
     shapes = json.loads(ORACLE.read_text(encoding="utf-8"))
-    tensors = {name: 0.1 * torch.randn(shape, generator=generator) for name, shape in shapes.items()}
+    tensors = {
+        name: 0.1 * torch.randn(shape, generator=generator) for name, shape in shapes.items()
+    }
     tensors["deformation_net.grid.aabb"] = BOX
     return tensors
 
@@ -46,29 +62,45 @@ def points_of(means: torch.Tensor, steady: bool = True) -> Points:
     """Grey points of the middle of the clip, which last through all of it."""
     count = len(means)
     return Points(
-        means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.full((count,), steady)
+        means,
+        torch.full((count, 3), 0.5),
+        torch.full((count,), 0.5),
+        torch.full((count,), 1e6),
+        torch.full((count,), steady),
     )
 
 
 def test_files_of_the_authors_load_strictly(tmp_path):
-    """Names and shapes of `deformation.pth` are those of the network; every value arrives; what differs is refused by name."""
+    """Names and shapes of `deformation.pth` are those of the network; every value arrives; what
+    differs is refused by name.
+    """
     tensors = published_tensors()
     torch.save(tensors, tmp_path / "deformation.pth")
 
     network = read_deformation(tmp_path / "deformation.pth")
 
-    assert {name: list(tensor.shape) for name, tensor in network.state_dict().items()} == json.loads(ORACLE.read_text())
-    assert sum(value.numel() for value in network.parameters()) + 18 == 2_462_561 + 18  # buffers are no parameters
+    assert {
+        name: list(tensor.shape) for name, tensor in network.state_dict().items()
+    } == json.loads(ORACLE.read_text())
+    # buffers are no parameters
+    assert sum(value.numel() for value in network.parameters()) + 18 == 2_462_561 + 18
     assert all(torch.equal(value, tensors[name]) for name, value in network.state_dict().items())
-    torch.save(tensors | {"deformation_net.feature_out.0.weight": torch.zeros(128, 16)}, tmp_path / "other.pth")
+    torch.save(
+        tensors | {"deformation_net.feature_out.0.weight": torch.zeros(128, 16)},
+        tmp_path / "other.pth",
+    )
     with pytest.raises(
-        WeightsError, match=r"other.pth: 1 tensors differ from 4DGS .*feature_out.0.weight: wanted \(128, 32\), got"
+        WeightsError,
+        match=r"other.pth: 1 tensors differ from 4DGS .*feature_out.0.weight: wanted \(128, 32\), "
+        r"got",
     ):
         read_deformation(tmp_path / "other.pth")
 
 
 def test_features_are_products_of_bilinear_planes():
-    """Features of points in and outside the box are those of a loop over planes, from the definition: mirrored axes, raw time."""
+    """Features of points in and outside the box are those of a loop over planes, from the
+    definition: mirrored axes, raw time.
+    """
     torch.manual_seed(1)
     grid = PlaneGrid(BOX, PUBLISHED)
     for plane in grid.parameters():
@@ -87,14 +119,17 @@ def test_features_are_products_of_bilinear_planes():
             for plane, (first, second) in zip(planes, grid.axes, strict=True):
                 nodes = plane.detach().numpy()[0]
                 column, line = (
-                    (place[axis] + 1) / 2 * (size - 1) for axis, size in ((first, nodes.shape[2]), (second, nodes.shape[1]))
+                    (place[axis] + 1) / 2 * (size - 1)
+                    for axis, size in ((first, nodes.shape[2]), (second, nodes.shape[1]))
                 )
                 i, j = min(int(column), nodes.shape[2] - 2), min(int(line), nodes.shape[1] - 2)
                 a, b = column - i, line - j
                 product *= (1 - b) * ((1 - a) * nodes[:, j, i] + a * nodes[:, j, i + 1]) + b * (
                     (1 - a) * nodes[:, j + 1, i] + a * nodes[:, j + 1, i + 1]
                 )
-            np.testing.assert_allclose(features[row, 16 * level : 16 * level + 16], product, atol=2e-5)
+            np.testing.assert_allclose(
+                features[row, 16 * level : 16 * level + 16], product, atol=2e-5
+            )
 
 
 def motions(means: torch.Tensor) -> list:
@@ -111,7 +146,8 @@ def motions(means: torch.Tensor) -> list:
 def test_a_scene_at_rest_gives_the_same_bits_at_all_times(kind):
     """Before anything is learned nothing moves: pictures of all times are equal bit by bit.
 
-    But for a field's, whose heads begin with random weights and shift all times alike, they are also those without motion.
+    But for a field's, whose heads begin with random weights and shift all times alike, they are
+    also those without motion.
     """
     means = wall().means
     motion = motions(means)[kind]
@@ -120,38 +156,57 @@ def test_a_scene_at_rest_gives_the_same_bits_at_all_times(kind):
 
     with torch.no_grad():
         still = render_gaussians(canonical(gaussians), camera).image
-        pictures = [render_gaussians(motion.cloud(gaussians, time), camera).image for time in (0.0, 0.31, 0.5, 1.0)]
+        pictures = [
+            render_gaussians(motion.cloud(gaussians, time), camera).image
+            for time in (0.0, 0.31, 0.5, 1.0)
+        ]
 
     assert all(torch.equal(picture, pictures[0]) for picture in pictures)
     assert torch.equal(pictures[0], still) or isinstance(motion, HexPlaneMotion)
 
 
 def test_explicit_motions_are_their_formulas():
-    """Positions, axes and opacities at a time are those that Spacetime Gaussians and FreeTimeGS print."""
+    """Positions, axes and opacities at a time are those that Spacetime Gaussians and FreeTimeGS
+    print.
+    """
     random = np.random.default_rng(3)
     gaussians = first_gaussians(points_of(wall().means), 1, PolynomialMotion())
     for name in ("velocities", "turns"):
-        gaussians[name] = torch.from_numpy(random.normal(size=gaussians[name].shape).astype(np.float32))
-    gaussians["times"] = torch.from_numpy(random.uniform(0, 1, len(gaussians["times"])).astype(np.float32))
-    gaussians["log_durations"] = torch.from_numpy(random.uniform(-2, 0, len(gaussians["times"])).astype(np.float32))
+        gaussians[name] = torch.from_numpy(
+            random.normal(size=gaussians[name].shape).astype(np.float32)
+        )
+    gaussians["times"] = torch.from_numpy(
+        random.uniform(0, 1, len(gaussians["times"])).astype(np.float32)
+    )
+    gaussians["log_durations"] = torch.from_numpy(
+        random.uniform(-2, 0, len(gaussians["times"])).astype(np.float32)
+    )
     ahead = (0.7 - gaussians["times"])[:, None]
 
     curved = PolynomialMotion().cloud(gaussians, 0.7)
     straight = LinearMotion().cloud(
-        {**gaussians, "velocities": gaussians["velocities"][:, :1]} | {"turns": torch.zeros(300, 4)}, 0.7
+        {**gaussians, "velocities": gaussians["velocities"][:, :1]}
+        | {"turns": torch.zeros(300, 4)},
+        0.7,
     )
 
     powers = sum(gaussians["velocities"][:, power] * ahead ** (power + 1) for power in range(3))
     share = (ahead[:, 0] / gaussians["log_durations"].exp()) ** 2
     torch.testing.assert_close(curved.means, gaussians["means"] + powers)
-    torch.testing.assert_close(curved.quaternions, gaussians["quaternions"] + gaussians["turns"] * ahead)
+    torch.testing.assert_close(
+        curved.quaternions, gaussians["quaternions"] + gaussians["turns"] * ahead
+    )
     torch.testing.assert_close(torch.sigmoid(curved.opacity_logits), 0.1 * torch.exp(-share))
-    torch.testing.assert_close(straight.means, gaussians["means"] + gaussians["velocities"][:, 0] * ahead)
+    torch.testing.assert_close(
+        straight.means, gaussians["means"] + gaussians["velocities"][:, 0] * ahead
+    )
     torch.testing.assert_close(torch.sigmoid(straight.opacity_logits), 0.1 * torch.exp(-share / 2))
 
 
 def test_faded_logits_lose_nothing_to_rounding():
-    """Logits of faded opacities are exact where nothing fades, and finite with finite gradients where next to nothing is left."""
+    """Logits of faded opacities are exact where nothing fades, and finite with finite gradients
+    where next to nothing is left.
+    """
     logits = torch.tensor([-4.0, 0.0, 9.0, 0.0], requires_grad=True)
     fading = torch.tensor([0.0, 0.0, 0.0, 200.0])
 
@@ -166,21 +221,31 @@ def test_faded_logits_lose_nothing_to_rounding():
 def test_rotations_are_those_of_scipy():
     """Products of quaternions and turned vectors agree with SciPy's."""
     random = np.random.default_rng(5)
-    left, right, vectors = random.normal(size=(9, 4)), random.normal(size=(9, 4)), random.normal(size=(9, 3))
+    left, right, vectors = (
+        random.normal(size=(9, 4)),
+        random.normal(size=(9, 4)),
+        random.normal(size=(9, 3)),
+    )
     first, second = (Rotation.from_quat(values, scalar_first=True) for values in (left, right))
 
     product = quaternion_product(torch.from_numpy(left), torch.from_numpy(right)).numpy()
 
     np.testing.assert_allclose(
-        Rotation.from_quat(product, scalar_first=True).as_matrix(), (first * second).as_matrix(), atol=1e-12
+        Rotation.from_quat(product, scalar_first=True).as_matrix(),
+        (first * second).as_matrix(),
+        atol=1e-12,
     )
     np.testing.assert_allclose(
-        rotated(torch.from_numpy(left), torch.from_numpy(vectors)).numpy(), first.apply(vectors), atol=1e-12
+        rotated(torch.from_numpy(left), torch.from_numpy(vectors)).numpy(),
+        first.apply(vectors),
+        atol=1e-12,
     )
 
 
 def test_the_loss_and_its_gradient_are_those_of_kornia():
-    """0.8 L1 + 0.2 (1 - SSIM) with SSIM by kornia gives the same value and, through its convolutions, the same gradient."""
+    """0.8 L1 + 0.2 (1 - SSIM) with SSIM by kornia gives the same value and, through its
+    convolutions, the same gradient.
+    """
     generator = torch.Generator().manual_seed(6)
     truth = torch.rand(23, 31, 3, generator=generator)
     image = (truth + 0.2 * torch.rand(23, 31, 3, generator=generator)).requires_grad_()
@@ -197,7 +262,9 @@ def test_the_loss_and_its_gradient_are_those_of_kornia():
 
 
 def test_first_points_lie_on_the_surface_once(tmp_path):
-    """Points of a wall that stands still lie on it, in its colours, as many as asked, and once for all instants."""
+    """Points of a wall that stands still lie on it, in its colours, as many as asked, and once for
+    all instants.
+    """
     cloud = wall()
     footage = footage_of(lambda _: cloud, tmp_path)
 
@@ -225,9 +292,13 @@ def test_first_points_want_cameras_that_agree(tmp_path):
 
 
 def test_density_control_clones_splits_and_prunes():
-    """Faint Gaussians go, small ones that the image pulls at come twice, large ones become two smaller ones, others stay."""
+    """Faint Gaussians go, small ones that the image pulls at come twice, large ones become two
+    smaller ones, others stay.
+    """
     motion = LinearMotion()
-    gaussians = first_gaussians(points_of(torch.rand(5, 3, generator=torch.Generator().manual_seed(0))), 1, motion)
+    gaussians = first_gaussians(
+        points_of(torch.rand(5, 3, generator=torch.Generator().manual_seed(0))), 1, motion
+    )
     gaussians["log_scales"][:] = torch.tensor([0.001, 0.001, 0.5, 0.5, 0.001]).log()[:, None]
     gaussians["opacity_logits"][4] = -9.0
     state = FitState(gaussians, motion)
@@ -243,7 +314,9 @@ def test_density_control_clones_splits_and_prunes():
     assert len(state) == 6
     for name, tensor in after.items():
         assert torch.equal(tensor[:4].detach(), before[name][[0, 1, 3, 1]]), name
-    torch.testing.assert_close(after["log_scales"][4:].exp(), before["log_scales"][[2, 2]].exp() / 1.6)
+    torch.testing.assert_close(
+        after["log_scales"][4:].exp(), before["log_scales"][[2, 2]].exp() / 1.6
+    )
     assert not torch.equal(after["means"][4], after["means"][5])
     moments = state.optimiser.state[after["means"]]["exp_avg"]
     assert (moments[:3] != 0).all()
@@ -252,8 +325,12 @@ def test_density_control_clones_splits_and_prunes():
 
 
 def test_density_control_keeps_to_its_cap():
-    """Where there is room for one, the Gaussian that the image pulls at most is the one that comes twice."""
-    gaussians = first_gaussians(points_of(torch.rand(6, 3, generator=torch.Generator().manual_seed(0))), 0, NoMotion())
+    """Where there is room for one, the Gaussian that the image pulls at most is the one that comes
+    twice.
+    """
+    gaussians = first_gaussians(
+        points_of(torch.rand(6, 3, generator=torch.Generator().manual_seed(0))), 0, NoMotion()
+    )
     gaussians["log_scales"][:] = -7
     state = FitState(gaussians, NoMotion())
     state.gradient_sum[:] = torch.tensor([1.0, 2, 3, 9, 4, 5])
@@ -278,12 +355,16 @@ def test_opacity_that_a_published_field_gives_is_added_before_the_sigmoid():
     torch.testing.assert_close(cloud.means - gaussians["means"], moved["pos"])
     torch.testing.assert_close(cloud.log_scales - gaussians["log_scales"], moved["scales"])
     torch.testing.assert_close(cloud.quaternions - gaussians["quaternions"], moved["rotations"])
-    torch.testing.assert_close(cloud.opacity_logits - gaussians["opacity_logits"], moved["opacity"][:, 0])
+    torch.testing.assert_close(
+        cloud.opacity_logits - gaussians["opacity_logits"], moved["opacity"][:, 0]
+    )
     torch.testing.assert_close(cloud.sh - canonical(gaussians).sh, moved["shs"].view(-1, 16, 3))
 
 
 def test_an_output_folder_of_the_authors_renders(tmp_path):
-    """Their point cloud is moved by their field at raw times: the first instant is time 0, and the last one is not yet 1."""
+    """Their point cloud is moved by their field at raw times: the first instant is time 0, and the
+    last one is not yet 1.
+    """
     means = wall().means
     cloud = canonical(first_gaussians(points_of(means), 3, NoMotion()))
     iteration = tmp_path / "point_cloud" / "iteration_14000"

@@ -1,4 +1,6 @@
-"""GPS-Gaussian: names and shapes of the published checkpoint, the authors' outputs, rectification, rendering, whole steps."""
+"""GPS-Gaussian: names and shapes of the published checkpoint, the authors' outputs, rectification,
+rendering, whole steps.
+"""
 
 import json
 from dataclasses import replace
@@ -12,7 +14,12 @@ from torch.optim.lr_scheduler import OneCycleLR
 
 from ggvs_eval.baselines.gps_gaussian.method import MOST_PIXELS, GpsGaussian, choose_pairs, rectify
 from ggvs_eval.baselines.gps_gaussian.network import MAX_SCALE_M, GpsGaussianNetwork, load_network
-from ggvs_eval.baselines.gps_gaussian.rendering import Gaussians, blend_gaussians, render_gaussians, rotation_matrices
+from ggvs_eval.baselines.gps_gaussian.rendering import (
+    Gaussians,
+    blend_gaussians,
+    render_gaussians,
+    rotation_matrices,
+)
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
@@ -28,7 +35,9 @@ SCALES = "gs_parm_regresser.scale_head.2.weight"
 
 def seeded_weights():
     """Weights drawn by name; scales small enough not to lie at their limit everywhere."""
-    shapes = {name: tuple(tensor.shape) for name, tensor in GpsGaussianNetwork().state_dict().items()}
+    shapes = {
+        name: tuple(tensor.shape) for name, tensor in GpsGaussianNetwork().state_dict().items()
+    }
     state = seeded_state(shapes)
     return {**state, SCALES: 0.01 * state[SCALES]}
 
@@ -41,16 +50,31 @@ def weights(tmp_path_factory):
 
 
 def write_checkpoint(path, network):
-    """The authors' dict; torch 2.0, which they trained with, kept a function of its own in the scheduler's state."""
+    """The authors' dict; torch 2.0, which they trained with, kept a function of its own in the
+    scheduler's state.
+    """
     layer = torch.nn.Linear(2, 2)
     optimizer = torch.optim.AdamW(layer.parameters(), lr=2e-4)
-    scheduler = {**OneCycleLR(optimizer, 2e-4, 1000).state_dict(), "anneal_func": OneCycleLR._annealing_linear}
-    torch.save({"total_steps": 7, "network": network, "optimizer": optimizer.state_dict(), "scheduler": scheduler}, path)
+    scheduler = {
+        **OneCycleLR(optimizer, 2e-4, 1000).state_dict(),
+        "anneal_func": OneCycleLR._annealing_linear,
+    }
+    torch.save(
+        {
+            "total_steps": 7,
+            "network": network,
+            "optimizer": optimizer.state_dict(),
+            "scheduler": scheduler,
+        },
+        path,
+    )
     return path
 
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
-    """Every parameter of the published network exists under its name with its shape, in its order, and no other."""
+    """Every parameter of the published network exists under its name with its shape, in its order,
+    and no other.
+    """
     network = GpsGaussianNetwork()
     oracle = json.loads((DATA_FOLDER / "gps_gaussian_state_dict.json").read_text())
     shapes = {name: list(tensor.shape) for name, tensor in network.state_dict().items()}
@@ -59,14 +83,18 @@ def test_names_and_shapes_are_those_of_the_checkpoint():
 
 
 def test_outputs_are_the_authors():
-    """Features, flow and Gaussians agree with the authors' code on the same weights (tests/data/GPS_GAUSSIAN_ORACLES.md)."""
+    """Features, flow and Gaussians agree with the authors' code on the same weights
+    (tests/data/GPS_GAUSSIAN_ORACLES.md).
+    """
     network = GpsGaussianNetwork().eval()
     network.load_state_dict(seeded_weights())
     images = torch.cat(seeded_pair(64, 160)) / 127.5 - 1
     with one_thread(), torch.inference_mode():
         features = network.features(images)
         flow = network.flow(features)
-        inverse = (flow - torch.tensor([3.5, -3.5]).view(2, 1, 1, 1)) / torch.tensor([-40.0, 40.0]).view(2, 1, 1, 1)
+        inverse = (flow - torch.tensor([3.5, -3.5]).view(2, 1, 1, 1)) / torch.tensor(
+            [-40.0, 40.0]
+        ).view(2, 1, 1, 1)
         inverse[..., :4] = 0
         maps = network.gaussians(images, inverse, features)
     golden = np.load(DATA_FOLDER / "gps_gaussian_golden.npz")
@@ -81,10 +109,14 @@ def test_outputs_are_the_authors():
 
 @pytest.mark.parametrize("prefix", [pytest.param("", marks=pytest.mark.slow), "module."])
 def test_the_authors_checkpoint_loads_strictly(tmp_path, prefix):
-    """The authors' dict, scheduler state of torch 2.0 and all, becomes the network bit for bit, with and without ``module.``."""
+    """The authors' dict, scheduler state of torch 2.0 and all, becomes the network bit for bit,
+    with and without ``module.``.
+    """
     state = seeded_weights()
     loaded = load_network(
-        write_checkpoint(tmp_path / "stage2.pth", {f"{prefix}{name}": tensor for name, tensor in state.items()})
+        write_checkpoint(
+            tmp_path / "stage2.pth", {f"{prefix}{name}": tensor for name, tensor in state.items()}
+        )
     )
     assert not loaded.training
     assert all(torch.equal(tensor, state[name]) for name, tensor in loaded.state_dict().items())
@@ -100,14 +132,19 @@ def turned(camera, *angles):
 PAIRS = {
     "parallel": (camera_at(-0.2), camera_at(0.2)),
     "converging": (turned(camera_at(-0.6), 0, -0.1, 0), turned(camera_at(0.6), 0.02, 0.12, 0.03)),
-    "oblique": (camera_at(-0.2, -0.1), turned(camera_at(0.2, 0.15, width=80, height=60), 0, 0, 0.1)),
+    "oblique": (
+        camera_at(-0.2, -0.1),
+        turned(camera_at(0.2, 0.15, width=80, height=60), 0, 0, 0.1),
+    ),
     "upright": (camera_at(0.0, -0.3), camera_at(0.05, 0.3)),
 }
 
 
 @pytest.mark.parametrize("title", PAIRS)
 def test_matches_lie_on_one_row_and_flow_gives_their_depth(title):
-    """A point projects to one row of both canvases, and the exact flow between them gives its exact inverse depth in both."""
+    """A point projects to one row of both canvases, and the exact flow between them gives its exact
+    inverse depth in both.
+    """
     pair = rectify(*PAIRS[title])
     left, right = (view.camera for view in pair.views)
     points = np.random.default_rng(1).uniform((-1, -1, 3), (1, 1, 6), (20, 3))
@@ -117,7 +154,9 @@ def test_matches_lie_on_one_row_and_flow_gives_their_depth(title):
     assert left.width % 8 == left.height % 8 == 0
     for index, z in enumerate(z_left):
         shift = uv_right[index, 0] - uv_left[index, 0]
-        flow = np.stack([np.full((left.height, left.width), value, np.float32) for value in (shift, -shift)])
+        flow = np.stack(
+            [np.full((left.height, left.width), value, np.float32) for value in (shift, -shift)]
+        )
         inverse = pair.inverse_depth(flow)
         for half, view in enumerate(pair.views):
             np.testing.assert_allclose(inverse[half][view.inside], 1 / z, rtol=1e-4)
@@ -126,21 +165,31 @@ def test_matches_lie_on_one_row_and_flow_gives_their_depth(title):
 
 @pytest.mark.parametrize("title", ["parallel", "converging"])
 def test_rectification_is_the_authors_recipe(title):
-    """Turned cameras are those of OpenCV's stereoRectify without flags, as the authors call it, up to how it halves the turn."""
+    """Turned cameras are those of OpenCV's stereoRectify without flags, as the authors call it, up
+    to how it halves the turn.
+    """
     left, right = PAIRS[title]
     turn = right.rotation @ left.rotation.T
     shift = (right.translation - turn @ left.translation)[:, None]
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has pixel centres at integers
-    results = cv2.stereoRectify(left.K - half, np.zeros(4), right.K - half, np.zeros(4), left.size, turn, shift, flags=0)
+    results = cv2.stereoRectify(
+        left.K - half, np.zeros(4), right.K - half, np.zeros(4), left.size, turn, shift, flags=0
+    )
     pair = rectify(left, right)
-    for view, camera, rotation, projection in zip(pair.views, (left, right), results[:2], results[2:4], strict=True):
-        off_rad = Rotation.from_matrix(view.camera.rotation @ (rotation @ camera.rotation).T).magnitude()
+    for view, camera, rotation, projection in zip(
+        pair.views, (left, right), results[:2], results[2:4], strict=True
+    ):
+        off_rad = Rotation.from_matrix(
+            view.camera.rotation @ (rotation @ camera.rotation).T
+        ).magnitude()
         assert off_rad < 2e-3
         np.testing.assert_allclose(view.camera.K, projection[:, :3] + half, atol=0.2)
 
 
 def see_wall(camera):
-    """Image (H, W, 3) uint8 and depth (H, W) float32 of the wall alone, from a camera that may be turned."""
+    """Image (H, W, 3) uint8 and depth (H, W) float32 of the wall alone, from a camera that may be
+    turned.
+    """
     rays = camera.rays()
     depth = (WALL_Z - camera.centre[2]) / rays[..., 2]
     return quantise(texture(camera.centre + depth[..., None] * rays, 0.0)), depth.astype(np.float32)
@@ -155,7 +204,9 @@ def test_canvases_are_what_turned_cameras_see(title):
         source = SourceView(camera, image, depth, np.ones_like(depth))
         expected, expected_depth = see_wall(view.camera)
         assert view.inside.mean() > 0.5
-        off = np.abs(view.image(source) - expected.astype(np.float32) / 255).max(axis=-1)[view.inside]
+        off = np.abs(view.image(source) - expected.astype(np.float32) / 255).max(axis=-1)[
+            view.inside
+        ]
         assert off.max() < 0.02
         ratio = (view.inverse_depth(source) * expected_depth)[view.inside]
         assert np.abs(ratio - 1).max() < 5e-3
@@ -164,7 +215,9 @@ def test_canvases_are_what_turned_cameras_see(title):
 
 @pytest.mark.parametrize("ahead", [0.0, 0.2, 0.3, 0.45])
 def test_whole_canvases_stay_within_a_multiple_of_the_image(ahead):
-    """However far ahead of the other the right camera stands: all of both images, on no more than so many of their pixels."""
+    """However far ahead of the other the right camera stands: all of both images, on no more than
+    so many of their pixels.
+    """
     left, right = camera_at(-0.15), camera_at(0.15)
     walked = np.array(right.world_to_camera)
     walked[2, 3] -= ahead
@@ -175,15 +228,21 @@ def test_whole_canvases_stay_within_a_multiple_of_the_image(ahead):
     shrunken = pair.left.camera.focal_px < left.focal_px * (1 - 1e-9)
     assert shrunken == (ahead > 0.2)  # 8.5 and 81 times the image otherwise
     for view, camera in zip(pair.views, cameras, strict=True):
-        uv, depth = view.camera.project(camera.unproject(camera.pixel_centres(), np.ones(camera.pixel_centres().shape[:-1])))
+        uv, depth = view.camera.project(
+            camera.unproject(camera.pixel_centres(), np.ones(camera.pixel_centres().shape[:-1]))
+        )
         assert (depth > 0).all()
         assert ((uv >= 0) & (uv <= [width, height])).all()
-    left_uv, right_uv = (view.camera.project(np.array([[0.1, -0.2, 4.0]]))[0] for view in pair.views)
+    left_uv, right_uv = (
+        view.camera.project(np.array([[0.1, -0.2, 4.0]]))[0] for view in pair.views
+    )
     np.testing.assert_allclose(left_uv[:, 1], right_uv[:, 1], atol=1e-9)
 
 
 def test_the_nearest_pair_that_is_one_is_taken():
-    """Pairs go by their distance to the target, the left camera first; cameras that are behind each other make no pair."""
+    """Pairs go by their distance to the target, the left camera first; cameras that are behind each
+    other make no pair.
+    """
     behind = replace(camera_at(0.0), name="behind")
     shifted = behind.world_to_camera.copy()
     shifted[2, 3] += 0.1
@@ -214,9 +273,13 @@ def random_set(seed, count=60):
 
 
 def plain_render(gaussians, camera, near):
-    """Colour, alpha and depth sums by loops over Gaussians and pixels in float64, from the published formulas."""
+    """Colour, alpha and depth sums by loops over Gaussians and pixels in float64, from the
+    published formulas.
+    """
     names = ("centres", "axes", "scales", "opacities", "colours")
-    centres, axes, scales, opacities, colours = (getattr(gaussians, name).numpy().astype(np.float64) for name in names)
+    centres, axes, scales, opacities, colours = (
+        getattr(gaussians, name).numpy().astype(np.float64) for name in names
+    )
     points = centres @ camera.rotation.T + camera.translation
     (fx, _, cx), (_, fy, cy) = camera.K[:2]
     limit = 1.3 * np.array([camera.width / (2 * fx), camera.height / (2 * fy)])
@@ -227,7 +290,9 @@ def plain_render(gaussians, camera, near):
         if z <= near:
             continue
         tx, ty = np.clip([x / z, y / z], -limit, limit) * z
-        jacobian = np.array([[fx / z, 0, -fx * tx / z**2], [0, fy / z, -fy * ty / z**2]]) @ camera.rotation
+        jacobian = (
+            np.array([[fx / z, 0, -fx * tx / z**2], [0, fy / z, -fy * ty / z**2]]) @ camera.rotation
+        )
         covariance = axes[index] @ np.diag(scales[index] ** 2) @ axes[index].T
         covariance = jacobian @ covariance @ jacobian.T + 0.3 * np.eye(2)
         mid = np.trace(covariance) / 2
@@ -251,11 +316,15 @@ def plain_render(gaussians, camera, near):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_gaussians_are_rendered_by_the_published_formulas(seed):
-    """Colour, coverage and depth of anisotropic Gaussians are those of a loop over pixels, tile borders included."""
+    """Colour, coverage and depth of anisotropic Gaussians are those of a loop over pixels, tile
+    borders included.
+    """
     gaussians, camera = random_set(seed)
     expected = plain_render(gaussians, camera, 0.3)
     found = render_gaussians(gaussians, camera, 0.3)
-    ours = np.concatenate([found.colour, (found.depth * found.alpha)[..., None], found.alpha[..., None]], axis=-1)
+    ours = np.concatenate(
+        [found.colour, (found.depth * found.alpha)[..., None], found.alpha[..., None]], axis=-1
+    )
     expected[..., 3] *= expected[..., 4] > 1 / 255
     off = np.abs(ours - expected).max(axis=-1)
     assert (off > 1e-5).sum() <= 1  # an alpha at 1/255 may fall to either side
@@ -264,7 +333,9 @@ def test_gaussians_are_rendered_by_the_published_formulas(seed):
 
 
 def test_rendering_passes_gradients():
-    """Colours, opacities, scales, axes and centres receive finite gradients, so that the network can be trained through it."""
+    """Colours, opacities, scales, axes and centres receive finite gradients, so that the network
+    can be trained through it.
+    """
     gaussians, camera = random_set(4)
     parts = {name: getattr(gaussians, name).clone().requires_grad_() for name in vars(gaussians)}
     (blend_gaussians(Gaussians(**parts), camera, 0.3) ** 2).sum().backward()
@@ -275,13 +346,18 @@ def test_rendering_passes_gradients():
 
 def rig(count):
     """Source cameras around a target, nearest first, not all on one line."""
-    return [camera_at(x, y) for x, y in [(0.1, 0.0), (-0.2, 0.05), (0.35, -0.1), (-0.4, 0.2), (0.0, 0.5)][:count]]
+    return [
+        camera_at(x, y)
+        for x, y in [(0.1, 0.0), (-0.2, 0.05), (0.35, -0.1), (-0.4, 0.2), (0.0, 0.5)][:count]
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "depth"), [(2, "given"), (5, "own")])
 def test_a_step_gives_an_image(weights, count, depth):
-    """A finite image of the target's size, in [0, 1], the same bits from a fresh object and whatever the threads."""
+    """A finite image of the target's size, in [0, 1], the same bits from a fresh object and
+    whatever the threads.
+    """
     target = camera_at(0.0, width=70, height=50)
     method = GpsGaussian(weights, depth)
     first = method.step(instant(3, target, rig(count), square_x=0.4))
@@ -299,7 +375,9 @@ def test_a_step_gives_an_image(weights, count, depth):
 
 
 def test_given_depth_shows_the_scene(weights):
-    """With exact depth every Gaussian lies where it should, so that the view is close to the truth even by seeded weights."""
+    """With exact depth every Gaussian lies where it should, so that the view is close to the truth
+    even by seeded weights.
+    """
     target = camera_at(0.05)
     rendering = GpsGaussian(weights, "given").step(instant(0, target, rig(3)))
     truth, depth = look(target)
@@ -310,7 +388,9 @@ def test_given_depth_shows_the_scene(weights):
 
 
 def test_options_that_mean_nothing_are_refused(weights):
-    """A depth or a frame of rotations that does not exist, or no pair at all, is refused in one line that names it."""
+    """A depth or a frame of rotations that does not exist, or no pair at all, is refused in one
+    line that names it.
+    """
     with refused(RenderError, "own or given", "'sensor'"):
         GpsGaussian(weights, "sensor")
     with refused(RenderError, "one pair", "and 0"):
@@ -321,17 +401,27 @@ def scaled(moment, factor):
     def camera(old):
         world_to_camera = old.world_to_camera.copy()
         world_to_camera[:3, 3] *= factor
-        return replace(old, world_to_camera=world_to_camera, near=old.near * factor, far=old.far * factor)
+        return replace(
+            old, world_to_camera=world_to_camera, near=old.near * factor, far=old.far * factor
+        )
 
     sources = tuple(
-        replace(source, camera=camera(source.camera), depth=source.depth * np.float32(factor)) for source in moment.sources
+        replace(source, camera=camera(source.camera), depth=source.depth * np.float32(factor))
+        for source in moment.sources
     )
-    return replace(moment, target=camera(moment.target), sources=sources, units_per_metre=moment.units_per_metre * factor)
+    return replace(
+        moment,
+        target=camera(moment.target),
+        sources=sources,
+        units_per_metre=moment.units_per_metre * factor,
+    )
 
 
 @pytest.mark.parametrize("depth", [pytest.param("own", marks=pytest.mark.slow), "given"])
 def test_the_unit_of_the_world_does_not_matter(weights, depth):
-    """The same scene in units eight times as small gives the same image: inverse depth and scales are metric to the network."""
+    """The same scene in units eight times as small gives the same image: inverse depth and scales
+    are metric to the network.
+    """
     moment = instant(0, camera_at(0.05), rig(2))
     method = GpsGaussian(weights, depth)
     plain, in_other_units = method.step(moment).image, method.step(scaled(moment, 8.0)).image
@@ -340,7 +430,9 @@ def test_the_unit_of_the_world_does_not_matter(weights, depth):
 
 @pytest.mark.slow
 def test_camera_rotations_make_the_world_free_to_turn(weights):
-    """With rotations in the camera's frame a turned world gives the same image; with the published ones it need not."""
+    """With rotations in the camera's frame a turned world gives the same image; with the published
+    ones it need not.
+    """
     moment = instant(0, camera_at(0.05), rig(2))
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_rotvec([0.4, -0.7, 0.3]).as_matrix()

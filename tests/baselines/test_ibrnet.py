@@ -1,4 +1,6 @@
-"""IBRNet: names and shapes of the published checkpoint, outputs equal to the authors', and the method as a whole."""
+"""IBRNet: names and shapes of the published checkpoint, outputs equal to the authors', and the
+method as a whole.
+"""
 
 import copy
 import json
@@ -11,7 +13,14 @@ import torch
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.method import IBRNet
 from ggvs_eval.baselines.ibrnet.network import PARTS, Networks, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import SeenView, _shade, depth_range, packed_layers, projection_of, render_rays
+from ggvs_eval.baselines.ibrnet.rendering import (
+    SeenView,
+    _shade,
+    depth_range,
+    packed_layers,
+    projection_of,
+    render_rays,
+)
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import _core
@@ -33,7 +42,13 @@ def networks():
 @pytest.fixture(scope="module")
 def weights(networks, tmp_path_factory):
     path = tmp_path_factory.mktemp("ibrnet") / "model_255000.pth"
-    torch.save({**{part: networks.get_submodule(part).state_dict() for part in PARTS}, "optimizer": {"state": {}}}, path)
+    torch.save(
+        {
+            **{part: networks.get_submodule(part).state_dict() for part in PARTS},
+            "optimizer": {"state": {}},
+        },
+        path,
+    )
     return path
 
 
@@ -59,7 +74,13 @@ def see(networks, source):
     """A source view as the renderer takes it."""
     image = as_tensor(source.image)
     coarse, fine = networks.feature_net(image)
-    return SeenView(image[0], coarse[0], fine[0], projection_of(source.camera), torch.from_numpy(source.camera.centre).float())
+    return SeenView(
+        image[0],
+        coarse[0],
+        fine[0],
+        projection_of(source.camera),
+        torch.from_numpy(source.camera.centre).float(),
+    )
 
 
 def small_target(views):
@@ -69,7 +90,9 @@ def small_target(views):
 
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
-    """Every parameter of the authors' three networks exists under its name with its shape, and no other."""
+    """Every parameter of the authors' three networks exists under its name with its shape, and no
+    other.
+    """
     oracle = json.loads((DATA_FOLDER / "ibrnet_state_dict.json").read_text())
     networks = Networks()
     for part in PARTS:
@@ -92,12 +115,16 @@ def test_features_are_the_authors(networks, golden):
 
 
 def test_the_ray_network_is_the_authors(networks, golden):
-    """Colours and densities of random samples agree, samples that one view or none sees included."""
+    """Colours and densities of random samples agree, samples that one view or none sees
+    included.
+    """
     rng = np.random.default_rng(3)
     seen = torch.from_numpy(rng.uniform(0, 1, (4, 10, 5, 35))).float()
     differences = rng.normal(size=(4, 10, 5, 3))
     differences /= np.linalg.norm(differences, axis=-1, keepdims=True)
-    directions = torch.from_numpy(np.concatenate([differences, rng.uniform(0.5, 1, (4, 10, 5, 1))], axis=-1)).float()
+    directions = torch.from_numpy(
+        np.concatenate([differences, rng.uniform(0.5, 1, (4, 10, 5, 1))], axis=-1)
+    ).float()
     visible = torch.from_numpy(rng.uniform(size=(4, 10, 5, 1)) > 0.6)
     visible[1, :4] = False
     colours, density = networks.net_coarse(seen, directions, visible)
@@ -106,7 +133,9 @@ def test_the_ray_network_is_the_authors(networks, golden):
 
 
 def test_rendered_rays_are_the_authors(networks, golden):
-    """Two passes over every 37th ray of a turned rig agree with the authors' to 1e-4 in colour, in depth where it is opaque."""
+    """Two passes over every 37th ray of a turned rig agree with the authors' to 1e-4 in colour, in
+    depth where it is opaque.
+    """
     instant = turned_rig(3)
     views = [see(networks, source) for source in instant.sources]
     rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[::37]).float()
@@ -115,24 +144,36 @@ def test_rendered_rays_are_the_authors(networks, golden):
     np.testing.assert_allclose(colours, golden["fine_rgb"], atol=1e-4)
     opaque = golden["opacity"] >= 0.5
     assert opaque.sum() > 50
-    np.testing.assert_allclose(depth[opaque], (golden["fine_depth"] / golden["opacity"].clip(1e-10))[opaque], atol=1e-3)
+    np.testing.assert_allclose(
+        depth[opaque], (golden["fine_depth"] / golden["opacity"].clip(1e-10))[opaque], atol=1e-3
+    )
     assert (depth[golden["opacity"] < 0.499] == 0).all()
 
 
 def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
-    """A file in the authors' format, with and without ``module.``, becomes the networks, bit for bit."""
+    """A file in the authors' format, with and without ``module.``, becomes the networks, bit for
+    bit.
+    """
     parallel = {
-        part: {f"module.{name}": tensor for name, tensor in networks.get_submodule(part).state_dict().items()} for part in PARTS
+        part: {
+            f"module.{name}": tensor
+            for name, tensor in networks.get_submodule(part).state_dict().items()
+        }
+        for part in PARTS
     }
     torch.save(parallel, tmp_path / "parallel.pth")
     for path in (weights, tmp_path / "parallel.pth"):
         loaded = load_ibrnet(path).state_dict()
-        assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
+        assert all(
+            torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items()
+        )
 
 
 @pytest.mark.parametrize("views", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_step_gives_a_picture(weights, views):
-    """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth within the range or 0."""
+    """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth
+    within the range or 0.
+    """
     instant = small_target(views)
     rendering = IBRNet(weights).step(instant)
     assert rendering.image.shape == (12, 18, 3)
@@ -141,14 +182,18 @@ def test_a_step_gives_a_picture(weights, views):
     assert rendering.image.max() <= 1
     assert rendering.image.std() > 0.02
     near, far = depth_range(instant)
-    assert ((rendering.depth == 0) | ((rendering.depth >= near) & (rendering.depth <= far * 1.001))).all()
+    assert (
+        (rendering.depth == 0) | ((rendering.depth >= near) & (rendering.depth <= far * 1.001))
+    ).all()
     assert set(rendering.seconds) == {"features", "rays"}
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("torch_threads")
 def test_a_step_is_the_same_again(weights):
-    """Equal bits from a second object and with another number of threads, close ones with other chunks."""
+    """Equal bits from a second object and with another number of threads, close ones with other
+    chunks.
+    """
     instant = small_target(2)
     first = IBRNet(weights).step(instant).image
     threads = kernels.get_threads()
@@ -159,7 +204,9 @@ def test_a_step_is_the_same_again(weights):
     finally:
         kernels.set_threads(threads)
     assert torch.get_num_threads() == 2
-    np.testing.assert_allclose(IBRNet(weights, rays_per_chunk=101).step(instant).image, first, atol=1e-5)
+    np.testing.assert_allclose(
+        IBRNet(weights, rays_per_chunk=101).step(instant).image, first, atol=1e-5
+    )
 
 
 def test_too_little_to_see_is_refused(weights):
@@ -173,7 +220,9 @@ def test_too_little_to_see_is_refused(weights):
 
 @pytest.fixture
 def shaded(networks):
-    """Two rays' worth of samples, near ones that no view sees included, through a network that nobody trains or somebody does."""
+    """Two rays' worth of samples, near ones that no view sees included, through a network that
+    nobody trains or somebody does.
+    """
     instant = turned_rig(3)
     views = [see(networks, source) for source in instant.sources]
     rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[::29]).float()
@@ -181,20 +230,28 @@ def shaded(networks):
     depths = torch.linspace(0.02 * near, far, 21).expand(len(rays), -1)
     centre = torch.from_numpy(instant.target.centre).float()
 
-    def shade(with_gradients: bool, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
+    def shade(
+        with_gradients: bool, dtype: torch.dtype = torch.float32
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         network = copy.deepcopy(networks.net_fine).to(dtype).requires_grad_(with_gradients)
-        seen = [SeenView(*(getattr(view, field.name).to(dtype) for field in fields(SeenView))) for view in views]
+        seen = [
+            SeenView(*(getattr(view, field.name).to(dtype) for field in fields(SeenView)))
+            for view in views
+        ]
         return _shade(network, seen, "fine", *(each.to(dtype) for each in (centre, rays, depths)))
 
     return shade
 
 
 def test_the_kernel_is_the_network(shaded):
-    """What nobody wants gradients of comes from a compiled pass, as near to the network in double precision as torch comes."""
+    """What nobody wants gradients of comes from a compiled pass, as near to the network in double
+    precision as torch comes.
+    """
     exact, of_torch, compiled = shaded(True, torch.float64), shaded(True), shaded(False)
     assert of_torch[1].requires_grad
     assert not compiled[1].requires_grad
-    assert 0 < (compiled[1] == 0).sum() < compiled[1].numel()  # samples that no view sees are among them
+    # samples that no view sees are among them
+    assert 0 < (compiled[1] == 0).sum() < compiled[1].numel()
     for wanted, theirs, ours in zip(exact, of_torch, compiled, strict=True):
         rounding = (theirs - wanted).abs().detach()
         assert (ours - wanted).abs().mean() < 1.5 * rounding.mean() < 1e-5
@@ -210,7 +267,11 @@ def test_vectors_of_any_size_agree(shaded):
             by_level[level] = shaded(with_gradients=False)
     finally:
         kernels.set_simd_level(best)
-    assert all(torch.equal(*pair) for other in by_level.values() for pair in zip(other, by_level["baseline"], strict=True))
+    assert all(
+        torch.equal(*pair)
+        for other in by_level.values()
+        for pair in zip(other, by_level["baseline"], strict=True)
+    )
 
 
 def test_the_kernel_takes_what_fits_alone(networks):

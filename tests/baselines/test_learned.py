@@ -1,4 +1,6 @@
-"""Learned baselines as entries of one registry: what is listed, what an entry names, and one that is added by a line."""
+"""Learned baselines as entries of one registry: what is listed, what an entry names, and one that
+is added by a line.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +42,9 @@ from helpers.stereo_scenes import write_capture
 
 WIDTH, HEIGHT = 400, 300  # of domain plain
 START = torch.tensor([0.25, 0.5, 0.75])
-REQUEST = TrainingOptions(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)
+REQUEST = TrainingOptions(
+    steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0
+)
 
 
 class ToyNetwork(nn.Module):
@@ -64,7 +68,9 @@ class ToyMethod:
 
     def step(self, instant):
         with torch.inference_mode():
-            return Rendering(self.gain * self.network(instant.target).permute(1, 2, 0).numpy(force=True))
+            return Rendering(
+                self.gain * self.network(instant.target).permute(1, 2, 0).numpy(force=True)
+            )
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,10 @@ class ToyRecipe(TrainingRecipe[ToyNetwork]):
 
     def terms(self, network, sample, step):
         image, truth = network(sample.instant.target), sample.truth_tensor
-        return {"squared_loss": (image - truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
+        return {
+            "squared_loss": (image - truth).square().mean(),
+            "ssim_loss": structural_loss(image[None], truth[None]),
+        }
 
     def rendered(self, network, instant):
         return network(instant.target)
@@ -117,7 +126,9 @@ def cache(tmp_path):
 
 
 def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
-    """An entry alone: both its labels are methods, a step is trained, its weights render by either label, its card is written."""
+    """An entry alone: both its labels are methods, a step is trained, its weights render by either
+    label, its card is written.
+    """
     assert [label for label in METHODS if label not in built_in.METHODS] == ["toy", "toy+dark"]
     assert (find_method("toy").title, find_method("toy+dark").title) == ("Toy", "Dark Toy")
     with refused(WeightsError, "Toy", "toy.pth", "--weights toy=FILE"):
@@ -127,7 +138,8 @@ def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
 
     sample = sample_pools(cache, REQUEST, InstantKind(depth=False))[1].read(0)
     plain, dark = (
-        find_method(label, NetworkOptions({"toy": weights})).make().step(sample.instant).image for label in ("toy", "toy+dark")
+        find_method(label, NetworkOptions({"toy": weights})).make().step(sample.instant).image
+        for label in ("toy", "toy+dark")
     )
     trained = read_tensors(weights)["colour"].float().numpy()
     assert plain.shape == sample.truth.shape
@@ -138,17 +150,28 @@ def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
     assert (moved != 0).all()
     told = card.read_text()
     assert "The training of Toy (nobody, nowhere 2020)." in told
-    assert "- recipe: {'configuration': 'compact', 'seed': 0, 'crop_width': 64, 'crop_height': 48}" in told
+    assert (
+        "- recipe: {'configuration': 'compact', 'seed': 0, 'crop_width': 64, 'crop_height': 48}"
+        in told
+    )
     assert "ToyMethod" not in told
     assert (weights.parent / "validation.csv").read_text().startswith("step,psnr_db,ssim\n1,")
 
 
 def test_every_folder_is_registered():
-    """A folder that the registry forgets would be no method and no training; what is fitted learns from the capture alone."""
+    """A folder that the registry forgets would be no method and no training; what is fitted learns
+    from the capture alone.
+    """
     folders = {root: Path(str(root.__file__)).parent for root in (baselines, more_baselines)}
-    there = [f"{root.__name__}.{file.parent.name}" for root, folder in folders.items() for file in folder.glob("*/__init__.py")]
+    there = [
+        f"{root.__name__}.{file.parent.name}"
+        for root, folder in folders.items()
+        for file in folder.glob("*/__init__.py")
+    ]
 
-    assert sorted(there) == sorted([*map(LEARNED_BASELINES.root, LEARNED_BASELINES), "ggvs_eval.baselines.fitted"])
+    assert sorted(there) == sorted(
+        [*map(LEARNED_BASELINES.root, LEARNED_BASELINES), "ggvs_eval.baselines.fitted"]
+    )
 
 
 def test_a_plug_in_is_given_the_file_that_the_user_names(tmp_path):
@@ -170,12 +193,22 @@ LOADERS = {
 
 @pytest.mark.parametrize("title", LOADERS)
 def test_what_is_no_checkpoint_is_refused(title, tmp_path):
-    """Absent, damaged, hostile and of another network: refused in one line that names file and method, and no code is run."""
+    """Absent, damaged, hostile and of another network: refused in one line that names file and
+    method, and no code is run.
+    """
     hostile = {"state_dict": Hostile(tmp_path / "touched")}
-    for name, content in {"nowhere": None, "hostile": hostile, "other": {"of": {"another": torch.zeros(2)}}}.items():
+    for name, content in {
+        "nowhere": None,
+        "hostile": hostile,
+        "other": {"of": {"another": torch.zeros(2)}},
+    }.items():
         if content:
             torch.save(content, tmp_path / f"{name}.pth")
-        words = {"nowhere": title, "hostile": "a file of tensors only", "other": "wanted a state dict"}
+        words = {
+            "nowhere": title,
+            "hostile": "a file of tensors only",
+            "other": "wanted a state dict",
+        }
         with refused(WeightsError, f"{name}.pth", words[name]) as caught:
             LOADERS[title](tmp_path / f"{name}.pth")
         assert "\n" not in str(caught.value)
@@ -184,14 +217,18 @@ def test_what_is_no_checkpoint_is_refused(title, tmp_path):
 
 @pytest.mark.parametrize("name", LEARNED_BASELINES)
 def test_entries_name_what_there_is(name):
-    """The classes exist and take what they are given; every label is a method; weights ship where they are said to."""
+    """The classes exist and take what they are given; every label is a method; weights ship where
+    they are said to.
+    """
     baseline = LEARNED_BASELINES[name]
     if name in TRAINED_BASELINES:
         recipe = RECIPES[name]("compact", 3)
         assert recipe.seed == 3
         assert isinstance(recipe, TrainingRecipe)
         assert recipe.network().configuration == "compact"
-    specs = [METHODS[label] for label in METHODS if METHODS.root(label) == LEARNED_BASELINES.root(name)]
+    specs = [
+        METHODS[label] for label in METHODS if METHODS.root(label) == LEARNED_BASELINES.root(name)
+    ]
     assert specs
     for spec in specs:
         assert baseline.checkpoint in spec.checkpoint

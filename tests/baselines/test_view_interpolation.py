@@ -1,4 +1,6 @@
-"""View interpolation: exact on a plane, what counts as between, and a run in which it cannot show every view."""
+"""View interpolation: exact on a plane, what counts as between, and a run in which it cannot show
+every view.
+"""
 
 from dataclasses import replace
 
@@ -28,7 +30,9 @@ BARE_WALL = 9.0  # where the square is out of sight
 def wall_seen_by(target, cameras, square_x=BARE_WALL):
     """An instant of the wall, and the truth of the target."""
     views = tuple(
-        SourceView(camera, image, depth, np.ones_like(depth)) for camera in cameras for image, depth in [look(camera, square_x)]
+        SourceView(camera, image, depth, np.ones_like(depth))
+        for camera in cameras
+        for image, depth in [look(camera, square_x)]
     )
     return Instant(0, target, views, units_per_metre=2.5), look(target, square_x)[0] / 255
 
@@ -39,13 +43,17 @@ def at(x, y=0.0, width=WIDTH, height=HEIGHT):
 
 @pytest.mark.parametrize("x", [-0.15, -0.1, 0.0, 0.11])
 def test_a_plane_is_shown_exactly(x):
-    """Before a wall the parallax is one number: the view between two cameras is the wall's own, wherever it lies between."""
+    """Before a wall the parallax is one number: the view between two cameras is the wall's own,
+    wherever it lies between.
+    """
     instant, truth = wall_seen_by(at(x), [at(-0.15), at(0.2)])
     assert psnr_db(ViewInterpolation().step(instant).image, truth) > 48
 
 
 def test_cameras_may_look_elsewhere_through_other_lenses():
-    """What direction, lens and size of the sources do to their images is undone before flow is searched."""
+    """What direction, lens and size of the sources do to their images is undone before flow is
+    searched.
+    """
     longer = at(0.2, width=240, height=160)
     K = longer.K.copy()
     K[:2, :2] *= 1.2
@@ -57,12 +65,16 @@ def test_cameras_may_look_elsewhere_through_other_lenses():
 
 
 def test_what_stands_before_the_wall_moves_more():
-    """With a square before the wall it is far ahead of the mean of both images, and of either of them."""
+    """With a square before the wall it is far ahead of the mean of both images, and of either of
+    them.
+    """
     instant, truth = wall_seen_by(at(0.0), [at(-0.15), at(0.2)], square_x=0.0)
     image = ViewInterpolation().step(instant).image
     images = [source.image / 255 for source in instant.sources]
     assert psnr_db(image, truth) > 36
-    assert psnr_db(image, truth) > 12 + max(psnr_db(other, truth) for other in (*images, np.mean(images, axis=0)))
+    assert psnr_db(image, truth) > 12 + max(
+        psnr_db(other, truth) for other in (*images, np.mean(images, axis=0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +89,9 @@ def test_what_stands_before_the_wall_moves_more():
     ],
 )
 def test_between_is_on_the_way_from_one_camera_to_another(cameras, pair):
-    """The nearest pair is taken whose line passes the target within a fifth of its length, between its ends."""
+    """The nearest pair is taken whose line passes the target within a fifth of its length, between
+    its ends.
+    """
     first, second, share = choose_pair(at(0.0), cameras)
     assert (first, second) == pair
     a, b = cameras[first].centre[0], cameras[second].centre[0]
@@ -101,7 +115,9 @@ def test_a_target_between_no_two_cameras_is_refused(cameras):
 
 
 def test_equal_bits_whatever_the_threads_and_the_order():
-    """The number of OpenCV's threads moves no bit and is left as it was; neither does the order of the sources."""
+    """The number of OpenCV's threads moves no bit and is left as it was; neither does the order of
+    the sources.
+    """
     instant, _ = wall_seen_by(at(0.0), [at(-0.15), at(0.2)], square_x=0.0)
     before = cv2.getNumThreads()
     pictures = []
@@ -125,19 +141,31 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     The run ends well, is not begun again, and its row says what it stands on.
     """
     capture = write_small_capture(tmp_path / "room", 2)
-    protocol = replace(small_protocol(2, 0, ("PSNR", "L1")), views=Views(("cam04", "cam05"), "test"), synthesis=Synthesis(3))
-    page = evaluate(tmp_path / "run", capture, protocol, ["distance-based", "interpolation"], workers=1)
+    protocol = replace(
+        small_protocol(2, 0, ("PSNR", "L1")),
+        views=Views(("cam04", "cam05"), "test"),
+        synthesis=Synthesis(3),
+    )
+    page = evaluate(
+        tmp_path / "run", capture, protocol, ["distance-based", "interpolation"], workers=1
+    )
     run = RunFolder(tmp_path / "run")
     results = Results.read(run.root)
     reason = "wanted a target between two cameras, got one outside"
-    refused = [view for view in protocol.views.test if read_json(run.renders("interpolation", view) / JOB_FILE).get("refused")]
+    refused = [
+        view
+        for view in protocol.views.test
+        if read_json(run.renders("interpolation", view) / JOB_FILE).get("refused")
+    ]
     mine = results.table[results.table["method"] == "interpolation"]
     assert refused == ["cam05"]
     assert set(mine["view"]) == {"cam04"}
     assert results.why_absent("PSNR", "interpolation", "cam05") == reason
     assert reason in results.provenance["partial"]["interpolation"]
     tables = pd.read_csv(page.parent / "tables.csv")
-    cell = tables[(tables["method"].str.startswith("View Interpolation")) & (tables["column"] == "cam05")]
+    cell = tables[
+        (tables["method"].str.startswith("View Interpolation")) & (tables["column"] == "cam05")
+    ]
     assert not cell.empty
     assert all(reason in note for note in cell["note"])
     made = (run.renders("interpolation", "cam05") / JOB_FILE).stat().st_mtime_ns
@@ -147,7 +175,9 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
 
 @pytest.mark.slow
 def test_a_path_that_was_refused_has_no_slice(tmp_path):
-    """A method whose folder of the path holds no picture is left out of the epipolar plane images; the others stay."""
+    """A method whose folder of the path holds no picture is left out of the epipolar plane images;
+    the others stay.
+    """
     run = read_run(write_run(tmp_path / "run"))
     label, *others = run.labels
     for picture in run.folder.path(label).glob("*.png"):

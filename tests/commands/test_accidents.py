@@ -1,4 +1,6 @@
-"""What happens to a command: Ctrl-C, SIGTERM, a full disk, a folder that cannot be written, a log that somebody reads."""
+"""What happens to a command: Ctrl-C, SIGTERM, a full disk, a folder that cannot be written, a log
+that somebody reads.
+"""
 
 import os
 import re
@@ -39,10 +41,20 @@ def words(tmp_path_factory) -> list[str]:
     root = tmp_path_factory.mktemp("accidents")
     capture = write_dynerf(root / "room")
     (root / "p.toml").write_text(small_protocol(2, 0, ("PSNR",)).to_toml())
-    return ["--capture", str(capture), "--protocol", str(root / "p.toml"), "--methods", "no-blending", "distance-based"]
+    return [
+        "--capture",
+        str(capture),
+        "--protocol",
+        str(root / "p.toml"),
+        "--methods",
+        "no-blending",
+        "distance-based",
+    ]
 
 
-def told(*arguments: object, before: Sequence[str] = (), stdout: IO[str] | int = subprocess.DEVNULL) -> tuple[int, list[str]]:
+def told(
+    *arguments: object, before: Sequence[str] = (), stdout: IO[str] | int = subprocess.DEVNULL
+) -> tuple[int, list[str]]:
     """Exit code and lines of standard error of a command in a process of its own."""
     command = [*before, *COMMAND, *map(str, arguments)]
     done = subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
@@ -74,18 +86,30 @@ def wait_for(condition: Callable[[], object]) -> None:
         pytest.param(signal.SIGTERM, False, 2, marks=pytest.mark.proof),
     ],
 )
-def test_a_command_that_is_stopped_says_how_to_go_on(number, to_all, jobs, words, interruptible, tmp_path):
-    """Ctrl-C, which a terminal sends to all processes, and SIGTERM: one line, 130, no worker left; the same command goes on."""
+def test_a_command_that_is_stopped_says_how_to_go_on(
+    number, to_all, jobs, words, interruptible, tmp_path
+):
+    """Ctrl-C, which a terminal sends to all processes, and SIGTERM: one line, 130, no worker left;
+    the same command goes on.
+    """
     run = tmp_path / "run"
     command = [*COMMAND, "run", str(run), *words, "--jobs", str(jobs)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
     wait_for(lambda: (run / "jobs" / "render.json").is_file())
     (os.killpg if to_all else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=WAIT_S)
 
     assert process.returncode == 130
     progress_line = re.compile(r"plan: |disk: |.*: \d+ of \d+ in")
-    assert [line for line in errors.splitlines() if not progress_line.match(line)] == [f"ggvs-eval: stopped; {GO_ON}"]
+    assert [line for line in errors.splitlines() if not progress_line.match(line)] == [
+        f"ggvs-eval: stopped; {GO_ON}"
+    ]
     wait_for(lambda: not group_members(process.pid))
     run_command(["run", str(run), *words, "--jobs", "1"])
     assert (run / "report" / "index.html").is_file()
@@ -94,18 +118,28 @@ def test_a_command_that_is_stopped_says_how_to_go_on(number, to_all, jobs, words
 
 def group_members(group: int) -> list[int]:
     """Processes of a group that run."""
-    listed = subprocess.run(["ps", "-eo", "pid=,pgid=,stat="], capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(
+        ["ps", "-eo", "pid=,pgid=,stat="], capture_output=True, text=True, check=True
+    ).stdout
     rows = (line.split() for line in listed.splitlines())
-    return [int(pid) for pid, pgid, state in rows if int(pgid) == group and not state.startswith("Z")]
+    return [
+        int(pid) for pid, pgid, state in rows if int(pgid) == group and not state.startswith("Z")
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_that_is_stopped_while_it_starts(number, interruptible, tmp_path):
     """In the middle of imports, some of which would swallow an exception."""
-    process = subprocess.Popen([*COMMAND, "status", str(tmp_path)], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*COMMAND, "status", str(tmp_path)], stderr=subprocess.PIPE, text=True
+    )
     status = Path(f"/proc/{process.pid}/status")
-    wait_for(lambda: int(re.search(r"SigCgt:\t(\w+)", status.read_text())[1], 16) >> (signal.SIGTERM - 1) & 1)
+    wait_for(
+        lambda: (
+            int(re.search(r"SigCgt:\t(\w+)", status.read_text())[1], 16) >> (signal.SIGTERM - 1) & 1
+        )
+    )
     process.send_signal(number)
     _, errors = process.communicate(timeout=WAIT_S)
 
@@ -115,7 +149,9 @@ def test_a_command_that_is_stopped_while_it_starts(number, interruptible, tmp_pa
 @contextmanager
 def mounted(folder: Path, *options: str) -> Iterator[Path]:
     folder.mkdir()
-    if subprocess.run(["mount", *options, str(folder)], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        ["mount", *options, str(folder)], capture_output=True, check=False
+    ).returncode:
         pytest.skip("file systems can only be mounted by root")
     yield folder
     subprocess.run(["umount", str(folder)], check=True)
@@ -148,7 +184,9 @@ def test_a_full_disk_is_one_line(jobs, words, small_disk, tmp_path):
     code, lines = told("render", run, "--methods", "no-blending", "--jobs", jobs)
 
     assert code == 1
-    assert re.fullmatch(rf"ggvs-eval: .*no-blending.*: No space left on device; make room; {GO_ON}", lines[-1])
+    assert re.fullmatch(
+        rf"ggvs-eval: .*no-blending.*: No space left on device; make room; {GO_ON}", lines[-1]
+    )
     assert not any("Traceback" in line for line in lines)
     (small_disk / "other").unlink()
     run_command(["render", str(run), "--methods", "no-blending", "--jobs", "1"])
@@ -158,11 +196,24 @@ def test_a_full_disk_is_one_line(jobs, words, small_disk, tmp_path):
 def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
     """Several kinds of files are written; all name what could not be."""
     (small_disk / "other").write_bytes(bytes(90_000))
-    room = ["--n-frames", "2", "--width", "64", "--height", "48", "--cameras-per-row", "2", "--supersampling", "1"]
+    room = [
+        "--n-frames",
+        "2",
+        "--width",
+        "64",
+        "--height",
+        "48",
+        "--cameras-per-row",
+        "2",
+        "--supersampling",
+        "1",
+    ]
 
     line = refusal("film", small_disk / "demo", *room, "--path-poses", "0", "--jobs", "1")
 
-    assert re.fullmatch(rf"ggvs-eval: {small_disk}.*No space left on device; make room; {GO_ON}", line)
+    assert re.fullmatch(
+        rf"ggvs-eval: {small_disk}.*No space left on device; make room; {GO_ON}", line
+    )
     assert sorted(item.name for item in small_disk.iterdir()) == ["other"]
 
 
@@ -170,9 +221,14 @@ def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
 def test_weights_and_states_name_a_full_disk(small_disk):
     """The libraries that write them would say that something failed."""
     network = torch.nn.Linear(200, 200)
-    state = TrainingState(1, 0, network, AveragedModel(network), torch.optim.Adam(network.parameters()))
+    state = TrainingState(
+        1, 0, network, AveragedModel(network), torch.optim.Adam(network.parameters())
+    )
 
-    for write in (lambda: write_weights(small_disk / "a.safetensors", network, {}), lambda: write_state(small_disk, state)):
+    for write in (
+        lambda: write_weights(small_disk / "a.safetensors", network, {}),
+        lambda: write_state(small_disk, state),
+    ):
         (small_disk / "other").write_bytes(bytes(70_000))
         with pytest.raises(OSError, match="No space left on device") as refused:
             write()
@@ -183,7 +239,9 @@ def test_weights_and_states_name_a_full_disk(small_disk):
 @pytest.mark.slow
 def test_output_onto_a_full_disk_is_one_line(words, tmp_path):
     """`ggvs-eval ... > FILE`: /dev/full is always full."""
-    run_command(["run", str(tmp_path / "run"), *words[:4], "--methods", "no-blending", "--jobs", "1"])
+    run_command(
+        ["run", str(tmp_path / "run"), *words[:4], "--methods", "no-blending", "--jobs", "1"]
+    )
 
     with Path("/dev/full").open("w") as full:
         code, lines = told("status", tmp_path / "run", stdout=full)
@@ -198,15 +256,27 @@ def test_a_read_only_folder_is_one_line(words, read_only):
 
     assert refusal("run", read_only / "run", *words).endswith(end)
     assert refusal("demo", read_only / "demo").endswith(end)
-    assert refusal("check", words[1], "--out", read_only / "check.json").endswith(f"{read_only}/check.json: {end}")
+    assert refusal("check", words[1], "--out", read_only / "check.json").endswith(
+        f"{read_only}/check.json: {end}"
+    )
 
 
 @pytest.mark.slow
 def test_a_folder_of_somebody_else_is_one_line(words, tmp_path):
     """As a user who may neither write nor read it."""
-    if os.getuid() != 0 or subprocess.run([*AS_NOBODY, sys.executable, "-c", "import ggvs_eval"], check=False).returncode:
-        pytest.skip("only root can become somebody who may not, and only where the package lies in no private folder")
-    run_command(["run", str(tmp_path / "run"), *words[:4], "--methods", "no-blending", "--jobs", "1"])
+    if (
+        os.getuid() != 0
+        or subprocess.run(
+            [*AS_NOBODY, sys.executable, "-c", "import ggvs_eval"], check=False
+        ).returncode
+    ):
+        pytest.skip(
+            "only root can become somebody who may not, and only where the package lies in no "
+            "private folder"
+        )
+    run_command(
+        ["run", str(tmp_path / "run"), *words[:4], "--methods", "no-blending", "--jobs", "1"]
+    )
     for folder in (tmp_path, *list(tmp_path.parents)[:2]):
         folder.chmod(0o755)
     (tmp_path / "run" / "jobs").chmod(0o700)
@@ -215,17 +285,24 @@ def test_a_folder_of_somebody_else_is_one_line(words, tmp_path):
         code, lines = told(command, tmp_path / "run", before=AS_NOBODY)
         assert code == 1
         assert re.fullmatch(
-            rf"ggvs-eval: {tmp_path}/run/\S+: Permission denied; ask for access or choose another place; {GO_ON}", lines[-1]
+            rf"ggvs-eval: {tmp_path}/run/\S+: Permission denied; ask for access or choose another "
+            rf"place; {GO_ON}",
+            lines[-1],
         )
         assert not any("Traceback" in line for line in lines)
 
 
-@pytest.mark.parametrize(("place", "reason"), [("file", "File exists"), ("file/below", "Not a directory")])
+@pytest.mark.parametrize(
+    ("place", "reason"), [("file", "File exists"), ("file/below", "Not a directory")]
+)
 def test_a_file_in_the_place_of_a_folder_is_one_line(place, reason, words, tmp_path):
     """A path that cannot be a run folder."""
     (tmp_path / "file").touch()
 
-    assert refusal("run", tmp_path / place, *words) == f"ggvs-eval: {tmp_path / place}: {reason}; choose another path; {GO_ON}"
+    assert (
+        refusal("run", tmp_path / place, *words)
+        == f"ggvs-eval: {tmp_path / place}: {reason}; choose another path; {GO_ON}"
+    )
 
 
 @pytest.mark.slow
@@ -236,12 +313,25 @@ def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
     run, address = tmp_path / "run", f"tcp://127.0.0.1:{20_000 + os.getpid() % 20_000}"
     here = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     python = [sys.executable, "-m"]
-    scheduler = subprocess.Popen([*python, "distributed.cli.dask_scheduler", "--host", address, "--no-dashboard"], **here)
+    scheduler = subprocess.Popen(
+        [*python, "distributed.cli.dask_scheduler", "--host", address, "--no-dashboard"], **here
+    )
     worker = subprocess.Popen(
-        [*python, "distributed.cli.dask_worker", address, "--no-nanny", "--no-dashboard", "--nthreads", "1"], **here
+        [
+            *python,
+            "distributed.cli.dask_worker",
+            address,
+            "--no-nanny",
+            "--no-dashboard",
+            "--nthreads",
+            "1",
+        ],
+        **here,
     )
     command = [*COMMAND, "run", str(run), *words, "--engine", "dask", "--scheduler", address]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
     try:
         wait_for(lambda: list(run.glob("depth/*/*.npz")) or process.poll() is not None)
         scheduler.kill()
@@ -258,18 +348,33 @@ def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
 
 @pytest.mark.slow
 def test_two_sweeps_into_one_folder_share_its_table(words, tmp_path):
-    """Lines of both, in the order in which they came; one that is measured again takes its place, digits of the others stay."""
+    """Lines of both, in the order in which they came; one that is measured again takes its place,
+    digits of the others stay.
+    """
     for name, k, label in (("one", 2, "distance-based"), ("two", 3, "no-blending")):
         rows = f"[[row]]\ntitle = '{label}'\nmethod = '{label}'\n"
-        (tmp_path / f"{name}.toml").write_text(f"name = '{name}'\ndescribe = 'x'\nk = [{k}]\n{rows}")
+        (tmp_path / f"{name}.toml").write_text(
+            f"name = '{name}'\ndescribe = 'x'\nk = [{k}]\n{rows}"
+        )
     tables = []
     for name in ("one", "two", "one"):
-        run_command(["sweep", str(tmp_path / f"{name}.toml"), str(tmp_path / "out"), *words[:4], "--jobs", "1"])
+        run_command(
+            [
+                "sweep",
+                str(tmp_path / f"{name}.toml"),
+                str(tmp_path / "out"),
+                *words[:4],
+                "--jobs",
+                "1",
+            ]
+        )
         tables.append((tmp_path / "out" / "sweep.csv").read_text())
 
     read = pd.read_csv(tmp_path / "out" / "sweep.csv")
     assert tables[1].startswith(tables[0])
-    assert [line.split(",")[:3] for line in tables[2].splitlines()] == [line.split(",")[:3] for line in tables[1].splitlines()]
+    assert [line.split(",")[:3] for line in tables[2].splitlines()] == [
+        line.split(",")[:3] for line in tables[1].splitlines()
+    ]
     assert list(read["method"]) == ["distance-based", "no-blending"]
     assert read.notna().all(axis=None)
     assert load_protocol("demo").name in set(read["variant"]) or "k3" in set(read["variant"])

@@ -47,7 +47,12 @@ def spoil_a_pose(rig: Path) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "named"),
-    [(lose_a_video, "poses_bounds.npy"), (cut_a_video, "cam01.mp4"), (spoil_a_pose, "row 2"), (shutil.rmtree, "rig")],
+    [
+        (lose_a_video, "poses_bounds.npy"),
+        (cut_a_video, "cam01.mp4"),
+        (spoil_a_pose, "row 2"),
+        (shutil.rmtree, "rig"),
+    ],
 )
 def test_a_damaged_capture_is_named(damage, named, rig, tmp_path):
     """Before anything is computed: the file or the row, and where it is gone, the folder."""
@@ -60,13 +65,17 @@ def test_an_unknown_protocol_key_names_the_nearest(rig, tmp_path):
     """A mistyped key of a protocol file names the right one."""
     (tmp_path / "mine.toml").write_text('nmae = "x"\n')
 
-    message = refusal("run", tmp_path / "run", "--capture", rig, "--protocol", tmp_path / "mine.toml")
+    message = refusal(
+        "run", tmp_path / "run", "--capture", rig, "--protocol", tmp_path / "mine.toml"
+    )
 
     assert "unknown key nmae; did you mean name?" in message
 
 
 def test_a_folder_that_is_no_run_says_how_to_make_one(tmp_path):
-    """Scoring or rendering something else than a run folder names the command that makes one; nothing is to be deleted."""
+    """Scoring or rendering something else than a run folder names the command that makes one;
+    nothing is to be deleted.
+    """
     assert "ggvs-eval run" in refusal("score", tmp_path)
     assert "wanted a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
 
@@ -90,8 +99,13 @@ def all_commands():
 
 @pytest.mark.parametrize(("words", "command"), list(all_commands()))
 def test_every_command_explains_itself(words, command, capsys, monkeypatch):
-    """Its help says what it does, each box by a name of its own, and shows an example, which can be typed as it stands."""
-    called, example = " ".join(("ggvs-eval", *words)), VERBS[words[0]].example.replace("NETWORK", words[-1])
+    """Its help says what it does, each box by a name of its own, and shows an example, which can be
+    typed as it stands.
+    """
+    called, example = (
+        " ".join(("ggvs-eval", *words)),
+        VERBS[words[0]].example.replace("NETWORK", words[-1]),
+    )
     told = helped(capsys, *words)
     assert f"usage: {called} " in told
     assert command.__doc__.partition("\n")[0] in told
@@ -117,24 +131,33 @@ def test_the_overview_names_every_command(capsys):
 
 def test_the_overview_says_what_the_commands_say():
     """Its lines are the first of the commands' own help, which it does not load."""
-    said = {name: (command.__doc__ or "").partition("\n")[0] for name, command in COMMANDS.items() if callable(command)}
+    said = {
+        name: (command.__doc__ or "").partition("\n")[0]
+        for name, command in COMMANDS.items()
+        if callable(command)
+    }
     assert {name: VERBS[name].about for name in said} == said
 
 
 @pytest.mark.slow
 def test_the_overview_loads_no_command():
-    """No torch, no scipy, no numpy and no verb, neither for help nor for the version; by the installed program too."""
+    """No torch, no scipy, no numpy and no verb, neither for help nor for the version; by the
+    installed program too.
+    """
     code = (
         "import sys\nfrom ggvs_eval.pipelines.commands.main import run_command\n"
         "for word in ('--help', '--version'):\n"
         "    try: run_command([word])\n"
         "    except SystemExit: pass\n"
-        "heavy = {'torch', 'scipy', 'numpy', 'tyro', 'ggvs_eval.capture', 'ggvs_eval.pipelines.commands.runs'}\n"
+        "heavy = {'torch', 'scipy', 'numpy', 'tyro', 'ggvs_eval.capture', "
+        "'ggvs_eval.pipelines.commands.runs'}\n"
         "print(sorted(heavy & sys.modules.keys()), file=sys.stderr)"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stderr.strip() == "[]"
-    overview = subprocess.run([sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True).stdout
+    overview = subprocess.run(
+        [sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True
+    ).stdout
     assert ended.stdout.startswith(overview)
 
 
@@ -142,12 +165,17 @@ def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
     """The overview leaves it out, and who asks for it is told what lacks."""
     monkeypatch.setitem(COMMANDS.shipped, "fly", "ggvs_eval.contrib.wings.flight:fly")
     assert "fly" not in list(COMMANDS)
-    wanted = "fly is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or omit it"
+    wanted = (
+        "fly is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval "
+        "or omit it"
+    )
     assert refusal("fly") == f"ggvs-eval: {wanted}"
 
 
 def test_a_mistyped_option_names_the_nearest_of_its_command(capsys):
-    """`demo --quik` is told of `--quick`, `run --protcol` of `--protocol`, once and not of that of every other command."""
+    """`demo --quik` is told of `--quick`, `run --protcol` of `--protocol`, once and not of that of
+    every other command.
+    """
     with pytest.raises(SystemExit, match="2"):
         run_command(["demo", "out", "--quik"])
     assert "--quick" in capsys.readouterr().err
@@ -173,21 +201,31 @@ def test_options_are_those_of_the_network(capsys, tmp_path):
     ("arguments", "ends"),
     [
         (("trian",), "no command 'trian'; commands are demo, .*; did you mean train?"),
-        (("train", "blnd", "out"), "no command 'train blnd'; commands are blend, .*; did you mean blend?"),
+        (
+            ("train", "blnd", "out"),
+            "no command 'train blnd'; commands are blend, .*; did you mean blend?",
+        ),
         (
             ("explain", "run", "ssmi", "0.9"),
-            "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean ssim?",
+            "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean "
+            "ssim?",
         ),
     ],
 )
 def test_a_mistyped_name_suggests_the_nearest(arguments, ends):
-    """Commands, networks and metrics: the line lists what there is and ends with what was probably meant."""
+    """Commands, networks and metrics: the line lists what there is and ends with what was probably
+    meant.
+    """
     assert re.search(ends.replace("?", r"\?") + "$", refusal(*arguments))
 
 
-@pytest.mark.parametrize("verb", [("film", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")])
+@pytest.mark.parametrize(
+    "verb", [("film", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")]
+)
 def test_no_process_at_all_is_one_line(verb):
-    """Each verb that starts processes wants at least one, also where it would find nothing to do."""
+    """Each verb that starts processes wants at least one, also where it would find nothing
+    to do.
+    """
     assert refusal(*verb, "--jobs", "0").endswith("--jobs 0: wanted at least 1")
 
 
@@ -203,14 +241,18 @@ def test_a_mistyped_metric_of_a_protocol_is_named_before_anything_is_read(words,
     """The file, the wrong name and the nearest one, though the capture is not there."""
     file = tmp_path / "typo.toml"
     file.write_text(load_protocol("rooms").to_toml().replace('"PSNR"', '"PSRN"'))
-    message = refusal(*(tmp_path / word if word.isupper() else word for word in words), "--protocol", file)
+    message = refusal(
+        *(tmp_path / word if word.isupper() else word for word in words), "--protocol", file
+    )
     assert f"{file}: measurement.metrics: no metric 'PSRN'; did you mean PSNR?" in message
 
 
 @pytest.mark.parametrize("words", [("render", "RUN"), ("run", "RUN", "--capture", "NOWHERE")])
 def test_a_mistyped_method_is_named_before_anything_is_read(words, tmp_path):
     """Though there is no such run and no such capture."""
-    message = refusal(*(tmp_path / word if word.isupper() else word for word in words), "--methods", "oars")
+    message = refusal(
+        *(tmp_path / word if word.isupper() else word for word in words), "--methods", "oars"
+    )
     assert "unknown method 'oars'; did you mean ours?" in message
 
 

@@ -1,4 +1,6 @@
-"""Where networks compute: what is refused, what travels, and that nothing changes where nobody asks for a GPU."""
+"""Where networks compute: what is refused, what travels, and that nothing changes where nobody asks
+for a GPU.
+"""
 
 import json
 import pickle
@@ -19,7 +21,13 @@ from ggvs_eval.baselines.gps_gaussian.rendering import (
     footprints,
     rotation_matrices,
 )
-from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
+from ggvs_eval.compute_device import (
+    clock_s,
+    compute_device,
+    computing_on,
+    describe_device,
+    rendering_on,
+)
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
@@ -42,7 +50,17 @@ from helpers.scenes import camera_at
 from helpers.small_runs import small_protocol, write_small_capture
 
 H100 = "cuda: NVIDIA H100 80GB HBM3"
-LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "mvsplat", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
+LEARNED = (
+    "fwd",
+    "ibrnet",
+    "gps-gaussian+given-depth",
+    "enerf",
+    "mvsplat",
+    "ours",
+    "ours+no-tsdf",
+    "ours+no-temporal",
+    "naive",
+)
 
 
 @pytest.fixture
@@ -65,7 +83,9 @@ def planned(filmed_room, tmp_path):
 
 @pytest.mark.usefixtures("no_gpu")
 def test_devices_that_are_not_there_are_refused():
-    """A GPU that is not there and a name that is none are told apart; `auto` falls back to the CPU."""
+    """A GPU that is not there and a name that is none are told apart; `auto` falls back to
+    the CPU.
+    """
     assert compute_device("auto") == compute_device("cpu") == torch.device("cpu")
     assert describe_device(torch.device("cpu")) == "cpu"
     with refused(DeviceError, "device cuda", "0 GPUs", "cpu", "CUDA"):
@@ -127,11 +147,16 @@ def test_tensors_are_made_where_it_is_computed():
 
 
 def test_methods_without_networks_know_no_device():
-    """Their spec stays the very same; with networks it says the device, and makes what it made where that is the CPU."""
+    """Their spec stays the very same; with networks it says the device, and makes what it made
+    where that is the CPU.
+    """
     on_gpu = NetworkOptions(device="cuda")
     for label, spec in METHODS.items():
         assert find_method(label).device == "cpu"
-        learned, fitted = isinstance(spec, OnlineMethod) and bool(spec.weights or spec.checkpoint), isinstance(spec, FittedMethod)
+        learned, fitted = (
+            isinstance(spec, OnlineMethod) and bool(spec.weights or spec.checkpoint),
+            isinstance(spec, FittedMethod),
+        )
         assert find_method(label, on_gpu).device == ("cuda" if learned or fitted else "cpu")
         assert learned == (label in LEARNED or label in ("gps-gaussian", "mvsnerf"))
     assert find_method("ours+beta_temporal=0.6", on_gpu).device == "cuda"
@@ -139,36 +164,62 @@ def test_methods_without_networks_know_no_device():
 
 
 def test_a_job_knows_its_device(planned, monkeypatch):
-    """On the CPU the identity says nothing of it; on a GPU it says which, and code of Warp counts that renders there."""
+    """On the CPU the identity says nothing of it; on a GPU it says which, and code of Warp counts
+    that renders there.
+    """
     monkeypatch.setattr(ggvs_eval.compute_device, "describe_device", lambda device: H100)
     unit = planned.units[0]
     for label in ("ours", "fwd"):
         spec = find_method(label)
-        here, there = (render_task(planned.run, label, each, unit) for each in (spec, spec.on("cuda")))
+        here, there = (
+            render_task(planned.run, label, each, unit) for each in (spec, spec.on("cuda"))
+        )
         assert "device" not in here.inputs
         assert there.inputs == here.inputs | {"device": H100, "code": there.inputs["code"]}
         assert (there.inputs["code"] == here.inputs["code"]) == (label == "fwd" or not ON_DEVICE)
         assert there.sha256 != here.sha256
         assert here.sha256 == render_task(planned.run, label, spec.on("cpu"), unit).sha256
-        assert pickle.loads(pickle.dumps(there)).make.args[1].device == "cuda"  # it travels to other processes by name
+        # it travels to other processes by name
+        assert pickle.loads(pickle.dumps(there)).make.args[1].device == "cuda"
     plain = find_method("no-blending")
-    assert render_task(planned.run, "no-blending", plain.on("cuda"), unit).inputs.keys() == here.inputs.keys()
+    assert (
+        render_task(planned.run, "no-blending", plain.on("cuda"), unit).inputs.keys()
+        == here.inputs.keys()
+    )
 
 
 @pytest.mark.usefixtures("no_gpu")
 def test_a_planned_sweep_carries_its_device(filmed_room, tmp_path, capsys):
     """Its commands may run where there is a GPU, so that none is needed to plan them."""
-    words = ["sweep", "k", str(tmp_path / "sweep"), "--capture", str(filmed_room.path), "--plan", str(tmp_path / "plan.json")]
+    words = [
+        "sweep",
+        "k",
+        str(tmp_path / "sweep"),
+        "--capture",
+        str(filmed_room.path),
+        "--plan",
+        str(tmp_path / "plan.json"),
+    ]
     for device in ("cuda", "cpu"):
         run_command([*words, "--device", device])
-        commands = [job["command"] for job in json.loads((tmp_path / "plan.json").read_text())["jobs"]]
-        assert {" ".join(command).count("--device cuda") for command in commands} == {int(device == "cuda")}
+        commands = [
+            job["command"] for job in json.loads((tmp_path / "plan.json").read_text())["jobs"]
+        ]
+        assert {" ".join(command).count("--device cuda") for command in commands} == {
+            int(device == "cuda")
+        }
 
 
 def test_results_tell_the_devices_of_their_renders(tmp_path):
-    """The provenance names those that are not the CPU's, by method and view; merged results keep them."""
+    """The provenance names those that are not the CPU's, by method and view; merged results keep
+    them.
+    """
     run = RunFolder(tmp_path)
-    for label, identity in (("ours", {"device": H100}), ("ours+no-tsdf", {}), ("theirs", {"files": {}})):
+    for label, identity in (
+        ("ours", {"device": H100}),
+        ("ours+no-tsdf", {}),
+        ("theirs", {"files": {}}),
+    ):
         write_json(run.renders(label, "cam00") / "job.json", {"identity": identity})
     found = _devices(run, ["ours/cam00", "ours+no-tsdf/cam00", "theirs/cam00", "absent/cam00"])
     assert found == {"ours/cam00": H100}
@@ -180,9 +231,18 @@ def test_results_tell_the_devices_of_their_renders(tmp_path):
 
 
 def test_the_page_renders_again_where_it_was_rendered(tmp_path):
-    """The commands that make the numbers again ask for a GPU for those methods alone that had one."""
-    results = Results(pd.DataFrame(columns=list(COLUMNS)), {"protocol_sha256": "0", "devices": {"ours/cam00": H100}})
-    run = SimpleNamespace(folder=RunFolder(tmp_path / "run"), protocol=small_protocol(1, 0, ("PSNR",)), results=results)
+    """The commands that make the numbers again ask for a GPU for those methods alone that
+    had one.
+    """
+    results = Results(
+        pd.DataFrame(columns=list(COLUMNS)),
+        {"protocol_sha256": "0", "devices": {"ours/cam00": H100}},
+    )
+    run = SimpleNamespace(
+        folder=RunFolder(tmp_path / "run"),
+        protocol=small_protocol(1, 0, ("PSNR",)),
+        results=results,
+    )
     run.labels, run.has_own_truth = ("no-blending", "ours"), False
     for label in run.labels:
         write_json(run.folder.renders(label, "cam00") / "job.json", {})
@@ -194,24 +254,40 @@ def test_the_page_renders_again_where_it_was_rendered(tmp_path):
 
 @pytest.mark.parametrize("count", [0, 40, pytest.param(4000, marks=pytest.mark.slow)])
 def test_tiles_are_blended_side_by_side_as_one_by_one(count):
-    """The order of work of a GPU gives what the CPU's gives, and its gradient: few, many, tiles dark before their last one."""
+    """The order of work of a GPU gives what the CPU's gives, and its gradient: few, many, tiles
+    dark before their last one.
+    """
     random = np.random.default_rng(5)
     camera = random_camera(random, 77, 50)
     gaussians = Gaussians(
         torch.from_numpy(random.uniform((-1.5, -1, 0.5), (1.5, 1, 3.0), (count, 3))),
-        rotation_matrices(torch.nn.functional.normalize(torch.from_numpy(random.normal(size=(count, 4))).float(), dim=1)),
+        rotation_matrices(
+            torch.nn.functional.normalize(
+                torch.from_numpy(random.normal(size=(count, 4))).float(), dim=1
+            )
+        ),
         torch.from_numpy(random.uniform(0.005, 0.1, (count, 3))).float(),
         torch.from_numpy(random.uniform(0.02, 1, count)).float().requires_grad_(),
         torch.from_numpy(random.uniform(0, 1, (count, 3))).float(),
     )
     seen = footprints(gaussians, camera, 0.3)
     columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-    features = torch.cat([seen.colours, seen.depths[:, None], torch.ones_like(seen.depths)[:, None]], dim=1)
-    canvas = blend_batches(seen, features, *_tiles(seen, columns, rows), columns).view(rows, columns, TILE, TILE, -1)
-    image = canvas.permute(0, 2, 1, 3, 4).reshape(rows * TILE, columns * TILE, -1)[: camera.height, : camera.width]
+    features = torch.cat(
+        [seen.colours, seen.depths[:, None], torch.ones_like(seen.depths)[:, None]], dim=1
+    )
+    canvas = blend_batches(seen, features, *_tiles(seen, columns, rows), columns).view(
+        rows, columns, TILE, TILE, -1
+    )
+    image = canvas.permute(0, 2, 1, 3, 4).reshape(rows * TILE, columns * TILE, -1)[
+        : camera.height, : camera.width
+    ]
     one_by_one = blend_gaussians(gaussians, camera, 0.3)
     assert bool(one_by_one.any()) == (count > 0)
-    torch.testing.assert_close(image, one_by_one, atol=2e-4, rtol=1e-4)  # a pixel may be done a Gaussian later
+    # a pixel may be done a Gaussian later
+    torch.testing.assert_close(image, one_by_one, atol=2e-4, rtol=1e-4)
     if count:
-        there, here = (torch.autograd.grad(each.square().sum(), gaussians.opacities)[0] for each in (image, one_by_one))
+        there, here = (
+            torch.autograd.grad(each.square().sum(), gaussians.opacities)[0]
+            for each in (image, one_by_one)
+        )
         assert (there - here).norm() < 1e-3 * here.norm()

@@ -1,4 +1,6 @@
-"""From the videos of a rig to a page in one command, which prints each step as a command and stops where check is bad."""
+"""From the videos of a rig to a page in one command, which prints each step as a command and stops
+where check is bad.
+"""
 
 import shlex
 import shutil
@@ -28,7 +30,11 @@ def call(*words: object) -> None:
 
 def steps(text: str) -> list[list[str]]:
     """The command lines that were printed as steps."""
-    return [shlex.split(line.removeprefix("$ ")) for line in text.splitlines() if line.startswith("$ ggvs-eval ")]
+    return [
+        shlex.split(line.removeprefix("$ "))
+        for line in text.splitlines()
+        if line.startswith("$ ggvs-eval ")
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +52,9 @@ def room(tmp_path_factory) -> Path:
 
 @pytest.mark.proof  # two calls of COLMAP and depth, a minute and a half of a core
 def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
-    """Calibrate, check, protocol and run, each printed as it goes; a second call repeats the check alone, and gives the same."""
+    """Calibrate, check, protocol and run, each printed as it goes; a second call repeats the check
+    alone, and gives the same.
+    """
     out = tmp_path / "out"
     call("evaluate", room / "videos", out, *FAST)
     told = capsys.readouterr().out
@@ -59,20 +67,36 @@ def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
     call("evaluate", room / "videos", out, *FAST)
     assert [words[1] for words in steps(capsys.readouterr().out)] == ["check", "run"]
     assert Results.read(out / "run").table.equals(first)
-    for words in [["protocol", out / "capture", tmp_path / "again.toml", "--check", out / "check.json", "--frames", "2"]]:
+    for words in [
+        [
+            "protocol",
+            out / "capture",
+            tmp_path / "again.toml",
+            "--check",
+            out / "check.json",
+            "--frames",
+            "2",
+        ]
+    ]:
         call(*words)  # what was said does the same
     assert (tmp_path / "again.toml").read_text() == (out / "protocol.toml").read_text()
 
 
 @pytest.mark.proof  # COLMAP and depth, some forty seconds of a core
 def test_videos_of_unequal_lengths_and_rates_become_a_page_by_repair(tmp_path):
-    """The refusal names the option, which takes the span that all have; the videos stay as they are."""
+    """The refusal names the option, which takes the span that all have; the videos stay as they
+    are.
+    """
     (tmp_path / "videos").mkdir()
     for index, camera in enumerate(make_cameras()):
         images = film(camera)
         if index == 4:
             images = [images[round(1.2 * frame)] for frame in range(20)]
-        write_video(tmp_path / "videos" / f"{camera.name}.mp4", images[: 21 if index == 2 else 24], 25 if index == 4 else 30)
+        write_video(
+            tmp_path / "videos" / f"{camera.name}.mp4",
+            images[: 21 if index == 2 else 24],
+            25 if index == 4 else 30,
+        )
     with pytest.raises(CaptureError, match="--repair' takes the span that all have"):
         evaluate(tmp_path / "videos", tmp_path / "out")
     call("evaluate", tmp_path / "videos", tmp_path / "out", *FAST, "--repair")
@@ -82,7 +106,9 @@ def test_videos_of_unequal_lengths_and_rates_become_a_page_by_repair(tmp_path):
 
 
 def test_another_rig_in_the_folder_of_one_is_refused(tmp_path, monkeypatch):
-    """Other videos, or the same names recorded again, are never shown with the poses and the numbers of the first."""
+    """Other videos, or the same names recorded again, are never shown with the poses and the
+    numbers of the first.
+    """
     calibrated = []
 
     def write_capture(videos: Path, capture: Path, _options: object) -> None:
@@ -107,7 +133,9 @@ def test_another_rig_in_the_folder_of_one_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_bad_capture_stops_with_its_verdict(dynerf, tmp_path, capsys):
-    """A camera that cannot be: the table says so, neither a protocol nor a run follows, and the line says how to go on."""
+    """A camera that cannot be: the table says so, neither a protocol nor a run follows, and the
+    line says how to go on.
+    """
     poses = np.load(dynerf / "poses_bounds.npy")
     poses[:, 4] = 1e-3  # a focal length of nothing
     poses[1:, [3, 8, 13]] = poses[0, [3, 8, 13]]

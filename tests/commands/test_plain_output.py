@@ -26,7 +26,12 @@ def test_tables_are_printed_in_ascii(tmp_path):
     capture = write_small_capture(tmp_path / "room", 2)
     words = ["protocol", str(capture.path), "mine.toml"]
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    ended = subprocess.run([sys.executable, "-m", "ggvs_eval", *words], cwd=tmp_path, env=environment, capture_output=True)
+    ended = subprocess.run(
+        [sys.executable, "-m", "ggvs_eval", *words],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+    )
     assert b"UnicodeEncodeError" not in ended.stderr
     assert b"-----" in ended.stdout
     assert ended.stdout.isascii()
@@ -70,7 +75,9 @@ def test_a_cut_protocol_says_what_to_do(tmp_path):
 
 
 def test_versions_of_everything_that_measures_are_noted(monkeypatch):
-    """Packages of metrics that are extras are noted where they are installed; the machine's description imports no torch."""
+    """Packages of metrics that are extras are noted where they are installed; the machine's
+    description imports no torch.
+    """
     assert {"flip-evaluator", "imageio-ffmpeg", "cvvdp"} <= set(MOVING_NUMBERS)
     assert set(installed_versions()) <= set(MOVING_NUMBERS)
     assert {"numpy", "torch", "flip-evaluator"} <= set(installed_versions())

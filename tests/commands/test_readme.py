@@ -1,4 +1,6 @@
-"""The blocks of README and of the guide, followed literally: what they print is what the pages show."""
+"""The blocks of README and of the guide, followed literally: what they print is what the pages
+show.
+"""
 
 import contextlib
 import io
@@ -27,7 +29,9 @@ pytestmark = [
 
 def blocks(language):
     """The code of README in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
 
 
 def short_protocol() -> Protocol:
@@ -39,7 +43,9 @@ def short_protocol() -> Protocol:
 
 @pytest.fixture(scope="module", params=["short", pytest.param("whole", marks=pytest.mark.proof)])
 def walk(request, tmp_path_factory):
-    """The folder in which the blocks were followed, the steps of commands, and what the lines of Python printed."""
+    """The folder in which the blocks were followed, the steps of commands, and what the lines of
+    Python printed.
+    """
     folder = tmp_path_factory.mktemp("readme")
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
@@ -65,7 +71,9 @@ def test_what_is_printed_is_what_the_page_shows(walk):
     """The planted fault in all three views, the digits of the table, and the page at its path."""
     folder, steps, _, is_whole = walk
     _, examined, scored, reported = (" ".join(each.output.split()) for each in steps)
-    shown = re.findall(r"^```\n(frame .*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)[0]
+    shown = re.findall(
+        r"^```\n(frame .*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )[0]
     assert "shows instant t-1" in shown
     for camera in ("cam00", "cam03", "cam07"):
         assert re.search(rf"certain {camera} frame t shows instant t-1", examined)
@@ -75,7 +83,9 @@ def test_what_is_printed_is_what_the_page_shows(walk):
     assert len(numbers) == 5
     for text in (shown, scored):
         assert "late shows every frame one instant late, so it is not ranked" in text
-    for number, own in zip(numbers if is_whole else [*numbers[:3], numbers[4]], printed, strict=False):
+    for number, own in zip(
+        numbers if is_whole else [*numbers[:3], numbers[4]], printed, strict=False
+    ):
         assert abs(float(number) - float(own)) <= 0.002 * abs(float(own)) + 0.002
     assert (folder / reported).is_file()
     assert reported == "scores/room/report/index.html"
@@ -99,12 +109,17 @@ def test_the_metric_is_a_plug_in():
 
 @pytest.fixture(scope="module")
 def first_evaluation(walk):
-    """The guide's first evaluation, on few views, frames and sources of what README's block made, by three metrics; its steps."""
+    """The guide's first evaluation, on few views, frames and sources of what README's block made,
+    by three metrics; its steps.
+    """
     folder, *_ = walk
     quick = folder / "quick"
     protocol = load_protocol(str(quick / "quick.toml"))
     cheap = replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False)
-    few = {"frames": replace(protocol.frames, count=FRAMES), "synthesis": replace(protocol.synthesis, k=2)}
+    few = {
+        "frames": replace(protocol.frames, count=FRAMES),
+        "synthesis": replace(protocol.synthesis, k=2),
+    }
     few["views"] = replace(protocol.views, test=protocol.views.test[:2])
     short = replace(protocol, measurement=cheap, **few)
     (quick / "quick.toml").write_text(short.to_toml(), encoding="utf-8")
@@ -115,7 +130,13 @@ def first_evaluation(walk):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for line in commands_of(GUIDE)[1:]:
-            steps.append(follow(line.replace(QUOTED, f"{psnr_db(steps[-1].output):.2f}") if QUOTED in line else line))
+            steps.append(
+                follow(
+                    line.replace(QUOTED, f"{psnr_db(steps[-1].output):.2f}")
+                    if QUOTED in line
+                    else line
+                )
+            )
     return folder, steps
 
 
@@ -126,10 +147,14 @@ def psnr_db(printed: str) -> float:
 
 @pytest.mark.proof
 def test_the_guide_goes_from_a_capture_to_its_page(first_evaluation):
-    """Nothing stumbles; a method of ours and imported frames are in one table, and their difference has its interval."""
+    """Nothing stumbles; a method of ours and imported frames are in one table, and their difference
+    has its interval.
+    """
     folder, steps = first_evaluation
     assert [each.exit_code for each in steps] == [0] * 7
-    _, _, scored, explained, compared, reported, table = (" ".join(each.output.split()) for each in steps)
+    _, _, scored, explained, compared, reported, table = (
+        " ".join(each.output.split()) for each in steps
+    )
     assert "mine" in scored
     assert f"PSNR {psnr_db(steps[2].output):.2f}" in explained
     assert "Distance-based Blending" in compared

@@ -1,4 +1,6 @@
-"""docs/your_rig.md, followed literally: every command of the page, on the six videos that it films."""
+"""docs/your_rig.md, followed literally: every command of the page, on the six videos that
+it films.
+"""
 
 import shlex
 from pathlib import Path
@@ -25,7 +27,8 @@ pytestmark = [
 ]
 
 ENDS_WITH_1 = "# ends with 1"
-# After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees, with 90 points at 320 x 240.
+# After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees,
+# with 90 points at 320 x 240.
 CENTRE_PERCENT, ROTATION_DEG = 3.0, 5.0
 
 
@@ -46,10 +49,14 @@ def step(walk: tuple[Path, list[Step]], beginning: str, number: int = 0) -> Step
 
 
 def test_every_command_ends_as_the_page_says(walk):
-    """In one straight line: nothing stumbles, and the one command that ends with 1 is told to do so."""
+    """In one straight line: nothing stumbles, and the one command that ends with 1 is told to do
+    so.
+    """
     for each in walk[1]:
         assert each.exit_code == int(ENDS_WITH_1 in each.command), each.command
-    verbs = [shlex.split(each.command)[1] for each in walk[1] if each.command.startswith("ggvs-eval")]
+    verbs = [
+        shlex.split(each.command)[1] for each in walk[1] if each.command.startswith("ggvs-eval")
+    ]
     assert verbs == ["film", "check", "calibrate", "check", "check", "protocol", "run", "view"]
 
 
@@ -69,21 +76,30 @@ def test_the_late_and_the_bright_camera_are_named(walk):
     late, bright = checked.of("time offset", "cam03"), checked.of("colour gain", "cam05")
     assert round(late.values["offset_frames"]) == -2
     assert bright.values["gain"] == pytest.approx([1.12] * 3, abs=0.05)
-    assert [finding.subject for finding in checked.findings if finding.verdict == "bad"] == ["cam03"]
+    assert [finding.subject for finding in checked.findings if finding.verdict == "bad"] == [
+        "cam03"
+    ]
 
 
 def test_delay_and_gain_are_repaired(walk):
     """The second check finds neither, and the frames that every command reads are shifted."""
     repaired = step(walk, "ggvs-eval check rig --repair")
-    assert "corrections.toml: cam03 2 frames behind, shifted; cam05 divided by 1.1" in repaired.output
+    assert (
+        "corrections.toml: cam03 2 frames behind, shifted; cam05 divided by 1.1" in repaired.output
+    )
     for camera in (f"cam0{number}" for number in range(6)):
         assert abs(repaired.of("time offset", camera).values["offset_frames"]) < 0.75
         assert repaired.of("colour gain", camera).verdict == "ok"
-    assert (open_capture(walk[0] / "filmed").n_frames, open_capture(walk[0] / "rig").n_frames) == (14, 12)
+    assert (open_capture(walk[0] / "filmed").n_frames, open_capture(walk[0] / "rig").n_frames) == (
+        14,
+        12,
+    )
 
 
 def test_the_run_gives_a_page_and_scores(walk):
-    """The protocol is the proposed one; both methods synthesise the held-out cameras recognisably; a view is exported."""
+    """The protocol is the proposed one; both methods synthesise the held-out cameras recognisably;
+    a view is exported.
+    """
     assert RunFolder(walk[0] / "runs" / "rig").protocol() == load_protocol(walk[0] / "rig.toml")
     page = Path(walk[0] / step(walk, "ggvs-eval run").output.splitlines()[-1])
     assert page.stat().st_size > 100_000

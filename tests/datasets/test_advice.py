@@ -1,4 +1,6 @@
-"""Advice is followed once: the command, the edit or the form that a refusal names makes its input open."""
+"""Advice is followed once: the command, the edit or the form that a refusal names makes its input
+open.
+"""
 
 import ast
 import json
@@ -62,7 +64,9 @@ def ffmpeg(line: str, folder: Path, **files: str) -> None:
     program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     words = [files.get(word.partition(".")[0], word) for word in shlex.split(line)]
     assert words[0] == "ffmpeg"
-    subprocess.run([program, "-v", "error", "-y", *words[1:]], cwd=folder, check=True, capture_output=True)
+    subprocess.run(
+        [program, "-v", "error", "-y", *words[1:]], cwd=folder, check=True, capture_output=True
+    )
 
 
 def quoted(message: str, program: str = "ggvs-eval") -> list[str]:
@@ -118,12 +122,16 @@ def follow_note(folder: Path, make: str, words: str) -> None:
 
 def follow_deinterlacing(folder: Path) -> None:
     """Two instants in each frame."""
-    follow_note(folder, "ffmpeg -i IN -vf setfield=tff -c:v libx264 -flags +ilme+ildct OUT", "interlaced")
+    follow_note(
+        folder, "ffmpeg -i IN -vf setfield=tff -c:v libx264 -flags +ilme+ildct OUT", "interlaced"
+    )
 
 
 def follow_tags(folder: Path) -> None:
     """Colour that no tag states."""
-    follow_note(folder, "ffmpeg -i IN -vf setparams=colorspace=unknown -c:v libx264 OUT", "no tag states")
+    follow_note(
+        folder, "ffmpeg -i IN -vf setparams=colorspace=unknown -c:v libx264 OUT", "no tag states"
+    )
 
 
 def follow_tone_mapping(folder: Path) -> None:
@@ -139,28 +147,44 @@ def follow_tone_mapping(folder: Path) -> None:
 
 
 def follow_steps(folder: Path) -> None:
-    """Videos of other rates, lengths and lost frames: one line for all of them, and no second round."""
+    """Videos of other rates, lengths and lost frames: one line for all of them, and no second
+    round.
+    """
     write_poses(folder, make_rig())
-    for index, (name, fps, n_frames) in enumerate(zip(NAMES, (30, 25, 30, 30), (24, 20, 22, 30), strict=True)):
+    for index, (name, fps, n_frames) in enumerate(
+        zip(NAMES, (30, 25, 30, 30), (24, 20, 22, 30), strict=True)
+    ):
         write_video(folder / f"{name}.mp4", (make_image(index, 0) for _ in range(n_frames)), fps)
-    ffmpeg("ffmpeg -i IN -vf 'select=not(eq(n\\,7))' -fps_mode vfr OUT", folder, IN="cam03.mp4", OUT="raw.mp4")
+    ffmpeg(
+        "ffmpeg -i IN -vf 'select=not(eq(n\\,7))' -fps_mode vfr OUT",
+        folder,
+        IN="cam03.mp4",
+        OUT="raw.mp4",
+    )
     shutil.move(folder / "raw.mp4", folder / "cam03.mp4")
     message = refusal(folder)
     assert "got cam00 24, cam01 20, cam02 22, cam03 29" in message
     call([*quoted(message), "--out", "JSON"], JSON=folder.with_name("check.json"))
     capture = open_capture(folder)
     assert (capture.n_frames, capture.fps) == (17, 25.0)
-    assert not any("jumps after frame 2," in note for note in capture.notes)  # every sixth of 30 has no partner among 25
+    # every sixth of 30 has no partner among 25
+    assert not any("jumps after frame 2," in note for note in capture.notes)
 
 
 def follow_repeats(folder: Path) -> None:
-    """A camera that recorded 25 frames per second, stored as 30: its line leaves the repeats out, that of the rates follows."""
+    """A camera that recorded 25 frames per second, stored as 30: its line leaves the repeats out,
+    that of the rates follows.
+    """
     cameras = make_cameras()
     footage = {camera.name: film(camera) for camera in cameras}
     odd = cameras[3].name
     footage[odd] = [footage[odd][frame * 5 // 6] for frame in range(len(footage[odd]))]
     write_rig(folder, cameras, footage)
-    found = next(finding for finding in check.check_capture(folder).of("frozen frames") if finding.subject == odd)
+    found = next(
+        finding
+        for finding in check.check_capture(folder).of("frozen frames")
+        if finding.subject == odd
+    )
     assert (found.verdict, found.values["recorded_fps"]) == ("bad", 25.0)
     ffmpeg(found.advice.rpartition(": ")[2], folder, IN=f"{odd}.mp4", OUT="raw.mp4")
     shutil.move(folder / "raw.mp4", folder / f"{odd}.mp4")
@@ -181,7 +205,9 @@ def follow_chapters(folder: Path) -> None:
     (entry,) = re.findall(r'write "(file .*?)" and the like into LIST', str(caught.value))
     line = str(caught.value).rpartition("then ")[2]
     for index in range(2):
-        names = [entry.replace("GX010000.MP4", f"GX{chapter:02d}{index:04d}.mp4") for chapter in (1, 2)]
+        names = [
+            entry.replace("GX010000.MP4", f"GX{chapter:02d}{index:04d}.mp4") for chapter in (1, 2)
+        ]
         (folder / "list").write_text("\n".join(names))
         (folder / "joined").mkdir(exist_ok=True)
         ffmpeg(line, folder, LIST="list", OUT=f"joined/cam{index}.mp4")
@@ -199,14 +225,18 @@ def follow_halves(folder: Path) -> None:
     for camera, crop in zip(rig, crops, strict=True):
         ffmpeg(f"ffmpeg -i IN -vf {crop} OUT", folder, IN="zed.mp4", OUT=f"{camera.name}.mp4")
     assert "write K into capture.toml" in message
-    (folder / "capture.toml").write_text("".join(camera_toml(camera, f"{camera.name}.mp4") for camera in rig))
+    (folder / "capture.toml").write_text(
+        "".join(camera_toml(camera, f"{camera.name}.mp4") for camera in rig)
+    )
     assert open_capture(folder).n_frames == 3
 
 
 def follow_rate_of_renders(folder: Path) -> None:
     """Renders of another rate and number: their line repeats the nearest frames."""
     write_video(folder / "cam00.mp4", (make_image(0, frame) for frame in range(8)), 24)
-    request = FrameRequest("mine", ("cam00",), range(10), 12, {"cam00": (64, 48)}, NAMES, folder, fps=30.0)
+    request = FrameRequest(
+        "mine", ("cam00",), range(10), 12, {"cam00": (64, 48)}, NAMES, folder, fps=30.0
+    )
     with pytest.raises(RenderError) as caught:
         view_streams.find_videos(folder, request, is_temporary=False)
     (folder / "new").mkdir()
@@ -215,7 +245,10 @@ def follow_rate_of_renders(folder: Path) -> None:
     assert found.views["cam00"].numbers == tuple(range(10))
     shown = VideoFrames(folder / "new" / "cam00.mp4").frames(0, 10)
     given = [*VideoFrames(folder / "cam00.mp4").frames(0, 8)]
-    nearest = [int(np.argmin([np.abs(image.astype(int) - frame).mean() for frame in given])) for image in shown]
+    nearest = [
+        int(np.argmin([np.abs(image.astype(int) - frame).mean() for frame in given]))
+        for image in shown
+    ]
     assert max(abs(index / 24 - number / 30) for number, index in enumerate(nearest)) < 1 / 30
 
 
@@ -223,7 +256,11 @@ def follow_raw_videos(folder: Path) -> None:
     """Videos without poses: what `check` advises where nothing else is wrong."""
     unpack_film("deep", folder, with_depth=False)
     (folder / "poses_bounds.npy").unlink()
-    (advice,) = {finding.advice for finding in check.check_capture(folder).findings if "calibrate" in finding.advice}
+    (advice,) = {
+        finding.advice
+        for finding in check.check_capture(folder).findings
+        if "calibrate" in finding.advice
+    }
     call(shlex.split(advice.partition(",")[0]), RIG=folder.with_name("rig"))
     assert open_capture(folder.with_name("rig")).n_frames == 2
 
@@ -246,7 +283,11 @@ def follow_several_sets(folder: Path) -> None:
         (folder / name / "recordings" / "poses_bounds.npy").unlink()
         (folder / name / "recordings" / "demo.json").unlink()
     message = refusal(folder)
-    call(quoted(message), FOLDER=folder / re.findall(r"got several: (\S*?)CAM", message)[0], RIG=folder.with_name("rig"))
+    call(
+        quoted(message),
+        FOLDER=folder / re.findall(r"got several: (\S*?)CAM", message)[0],
+        RIG=folder.with_name("rig"),
+    )
     assert open_capture(folder.with_name("rig")).n_frames == 2
 
 
@@ -255,7 +296,9 @@ def follow_lenses(folder: Path) -> None:
     unpack_film("deep", folder, with_depth=False)
     for camera in open_capture(folder).cameras:
         entries = {"camera_matrix": opencv_K(camera), "image_width": 160, "image_height": 120}
-        write_storage(folder / f"{camera.name}.yml", entries | {"distortion_coefficients": np.zeros((1, 5))})
+        write_storage(
+            folder / f"{camera.name}.yml", entries | {"distortion_coefficients": np.zeros((1, 5))}
+        )
     for name in ("poses_bounds.npy", "demo.json"):
         (folder / name).unlink()
     call(quoted(refusal(folder)), RIG=folder.with_name("rig"))
@@ -267,7 +310,9 @@ def follow_first_instant(folder: Path) -> None:
     film = open_capture(unpack_film("deep", folder.with_name("film"), with_depth=False))
     for frame in range(2):
         for name in film.camera_names:
-            write_image(folder / f"frame{frame:06d}" / "images" / f"{name}.png", film.frame(name, frame))
+            write_image(
+                folder / f"frame{frame:06d}" / "images" / f"{name}.png", film.frame(name, frame)
+            )
     message = refusal(folder)
     call(quoted(message), RIG=folder.with_name("rig"))
     assert "copy its sparse/ there" in message
@@ -297,7 +342,9 @@ def follow_track(folder: Path) -> None:
     """Depth and colour in one file: the track that is marked is read, the line takes another."""
     write_dynerf(folder)
     for index, name in enumerate(NAMES):
-        write_video(folder / "depth", (np.full((48, 64, 3), 40 * index, np.uint8) for _ in range(5)), 30)
+        write_video(
+            folder / "depth", (np.full((48, 64, 3), 40 * index, np.uint8) for _ in range(5)), 30
+        )
         both = "-map 0 -map 1 -c copy -disposition:v:0 0 -disposition:v:1 default"
         ffmpeg(f"ffmpeg -i depth -i {name}.mp4 {both} OUT", folder, OUT="raw.mp4")
         (folder / "raw.mp4").rename(folder / f"{name}.mp4")
@@ -318,11 +365,20 @@ def follow_linear_light(folder: Path) -> None:
     before = cv2.imread(str(images / "cam01.png"))
     for file in sorted(images.glob("*.png")):
         image = (cv2.imread(str(file)) / 255.0) ** 2.2
-        file.with_suffix(".raw").write_bytes(np.asarray(image[..., [1, 0, 2]].transpose(2, 0, 1), "<f4").tobytes())
+        file.with_suffix(".raw").write_bytes(
+            np.asarray(image[..., [1, 0, 2]].transpose(2, 0, 1), "<f4").tobytes()
+        )
         size = f"{image.shape[1]}x{image.shape[0]}"
-        ffmpeg(f"ffmpeg -f rawvideo -pix_fmt gbrpf32le -s {size} -i {file.stem}.raw -frames:v 1 {file.stem}.exr", images)
+        ffmpeg(
+            f"ffmpeg -f rawvideo -pix_fmt gbrpf32le -s {size} -i {file.stem}.raw -frames:v 1 "
+            f"{file.stem}.exr",
+            images,
+        )
         file.unlink()
-    frames = [{**frame, "file_path": frame["file_path"].replace("png", "exr")} for frame in transforms()["frames"]]
+    frames = [
+        {**frame, "file_path": frame["file_path"].replace("png", "exr")}
+        for frame in transforms()["frames"]
+    ]
     changed_json(folder / "transforms.json", frames=frames)
     line = refusal(folder).rpartition(": ")[2]
     for file in images.glob("*.exr"):
@@ -385,17 +441,31 @@ PRINTS = re.compile(r"ffmpeg -|ggvs-eval [a-z]+|exiftool")
 
 
 def texts(file: Path) -> Iterator[str]:
-    """The texts of a module but for docstrings, with the expressions in them in braces; the advice of a table."""
+    """The texts of a module but for docstrings, with the expressions in them in braces; the advice
+    of a table.
+    """
     if file.suffix == ".toml":
         yield from re.findall(r'= "(.*)"', file.read_text())
         return
     tree = ast.parse(file.read_text())
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    parts = {id(value) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for value in node.values}
+    parts = {
+        id(value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.JoinedStr)
+        for value in node.values
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
-            yield "".join(v.value if isinstance(v, ast.Constant) else f"{{{ast.unparse(v.value)}}}" for v in node.values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings | parts:
+            yield "".join(
+                v.value if isinstance(v, ast.Constant) else f"{{{ast.unparse(v.value)}}}"
+                for v in node.values
+            )
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in docstrings | parts
+        ):
             yield node.value
 
 
@@ -409,7 +479,9 @@ def test_every_printed_command_is_followed():
     ]
     printed = [text for file in files for text in texts(file) if PRINTS.search(text)]
     assert len(printed) >= len(COMMANDS) - 1
-    assert [text for text in printed if not any(mark in text for mark in (*COMMANDS, *ELSEWHERE))] == []
+    assert [
+        text for text in printed if not any(mark in text for mark in (*COMMANDS, *ELSEWHERE))
+    ] == []
 
 
 @pytest.mark.slow
@@ -427,7 +499,10 @@ def write_sequence(folder: Path) -> None:
     for index, camera in enumerate(make_rig()):
         write_image(folder / "images" / f"{index}.png", make_image(index, 0))
         (folder / "depth").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((camera.height, camera.width), 3000 + index, np.uint16))
+        cv2.imwrite(
+            str(folder / "depth" / f"{index}.png"),
+            np.full((camera.height, camera.width), 3000 + index, np.uint16),
+        )
     poses = [np.linalg.inv(camera.world_to_camera).ravel() for camera in make_rig()]
     np.savetxt(folder / "poses.txt", poses)
     np.savetxt(folder / "K.txt", make_rig()[0].K)
@@ -472,7 +547,9 @@ CONTENTS = {
 def marked_file(folder: Path, mark: dict[str, str]) -> None:
     """A file that a mark knows."""
     name = re.sub(r"\[(.).*?\]", r"\1", mark["pattern"]).replace("y*ml", "yaml").replace("*", "0")
-    content = CONTENTS.get(mark.get("content", ""), mark.get("content", "x").split("|")[0].removeprefix("\\A"))
+    content = CONTENTS.get(
+        mark.get("content", ""), mark.get("content", "x").split("|")[0].removeprefix("\\A")
+    )
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(content)
 
@@ -482,7 +559,9 @@ def alternatives() -> Iterator[pytest.ParameterSet]:
     for mark in file_marks():
         forms = [form for form in FORMS if form in mark["advice"]]
         assert forms, mark
-        yield from (pytest.param(mark, FORMS[form], id=f"{mark['pattern']} {form}") for form in forms)
+        yield from (
+            pytest.param(mark, FORMS[form], id=f"{mark['pattern']} {form}") for form in forms
+        )
 
 
 @pytest.mark.parametrize(("mark", "write"), [*alternatives()])
@@ -594,7 +673,9 @@ def edit_lengths(folder: Path) -> Edit:
 
 
 def edit_parts(folder: Path) -> Edit:
-    """Videos that are called by the numbers of their first frames; their joining is followed with chapters."""
+    """Videos that are called by the numbers of their first frames; their joining is followed with
+    chapters.
+    """
     for name in NAMES:
         write_videos(folder / name, ("0",))
         write_videos(folder / name, ("5",))
@@ -702,7 +783,9 @@ def edit_four_coefficients(folder: Path) -> Edit:
     rig = make_rig(("left", "right"))
     write_videos(folder, ("left", "right"))
     step = rig[1].world_to_camera @ np.linalg.inv(rig[0].world_to_camera)
-    entries = {f"M{number}": opencv_K(camera) for number, camera in enumerate(rig, 1)} | {"R": step[:3, :3].copy()}
+    entries = {f"M{number}": opencv_K(camera) for number, camera in enumerate(rig, 1)} | {
+        "R": step[:3, :3].copy()
+    }
     entries |= {"T": step[:3, 3:].copy(), "D1": np.full((1, 4), 0.01), "D2": np.full((1, 4), 0.01)}
     write_storage(folder / "stereo.yml", entries)
     yield
@@ -711,14 +794,19 @@ def edit_four_coefficients(folder: Path) -> Edit:
 
 def edit_units(folder: Path) -> Edit:
     write_dynerf(folder)
-    (folder / "units.toml").write_text('units_per_metre = 1.0\n[baseline]\ncameras = ["cam00", "cam01"]\nmetres = 1.0\n')
+    (folder / "units.toml").write_text(
+        'units_per_metre = 1.0\n[baseline]\ncameras = ["cam00", "cam01"]\nmetres = 1.0\n'
+    )
     yield
     (folder / "units.toml").write_text("units_per_metre = 1.0\n")
 
 
 def edit_marked_point(folder: Path) -> Edit:
     write_dynerf(folder)
-    marks = "[points]\nmetres = 1.0\na = { cam00 = [30.0, 20.0] }\nb = { cam00 = [20.0, 20.0], cam01 = [20.0, 20.0] }\n"
+    marks = (
+        "[points]\nmetres = 1.0\na = { cam00 = [30.0, 20.0] }\nb = { cam00 = [20.0, 20.0], "
+        "cam01 = [20.0, 20.0] }\n"
+    )
     (folder / "units.toml").write_text(marks)
     yield
     replaced(folder / "units.toml", "[30.0, 20.0] }", "[30.0, 20.0], cam01 = [30.0, 20.0] }")
@@ -778,7 +866,9 @@ def keys(**values: object) -> Callable[[Path], None]:
 
 def K_of(shift_px: float) -> Callable[[Path], None]:
     """Write K.txt with another principal point."""
-    return lambda folder: np.savetxt(folder / "K.txt", make_rig()[0].K + np.array([[0, 0, shift_px], [0, 0, 0], [0, 0, 0]]))
+    return lambda folder: np.savetxt(
+        folder / "K.txt", make_rig()[0].K + np.array([[0, 0, shift_px], [0, 0, 0], [0, 0, 0]])
+    )
 
 
 def leave_out(folder: Path) -> None:
@@ -790,7 +880,10 @@ def leave_out(folder: Path) -> None:
 
 def several_instants(folder: Path) -> None:
     """Two pictures of each camera in the model."""
-    write_colmap_model(folder / "sparse" / "0", [f"{name}/{number}.png" for name in NAMES[:2] for number in range(2)])
+    write_colmap_model(
+        folder / "sparse" / "0",
+        [f"{name}/{number}.png" for name in NAMES[:2] for number in range(2)],
+    )
 
 
 def no_depth(folder: Path) -> None:
@@ -813,7 +906,10 @@ EDITS: list[tuple[str, Callable[[Path], Edit]]] = [
     ("add the other", edit_near_alone),
     ("drop the key", edit_masks),
     ("add leading zeros, in the order of rows", edit_leading_zeros),
-    ("give each a number of its own, or put those of other cameras into other folders", edit_two_of_a_number),
+    (
+        "give each a number of its own, or put those of other cameras into other folders",
+        edit_two_of_a_number,
+    ),
     ("restore the frames or renumber them", edit_gap),
     ("takes the span that all have and pairs frames by time", edit_lengths),
     ("these are parts of one recording each", edit_parts),
@@ -830,7 +926,10 @@ EDITS: list[tuple[str, Callable[[Path], Edit]]] = [
     ("undistort the images", changed(write_nerfstudio, keys(k4=0.1), keys(k4=0.0))),
     ("scale the intrinsics as the images were scaled", changed(write_sequence, K_of(36), K_of(0))),
     ("leave this frame out", changed(write_sequence, no_depth, leave_out)),
-    ("rename it or move it elsewhere", changed(write_sequence, copy_of, lambda folder: (folder / "images" / "a0.png").unlink())),
+    (
+        "rename it or move it elsewhere",
+        changed(write_sequence, copy_of, lambda folder: (folder / "images" / "a0.png").unlink()),
+    ),
     ("calibrate with one instant", changed(write_colmap, several_instants, write_colmap)),
     ("give videos of several cameras", edit_instants),
     ("if it stands still, write the first instant's for all", edit_moving_camera),
@@ -853,9 +952,11 @@ def test_an_edit_that_is_advised_is_enough(tmp_path, advice, edit):
     assert len(open_capture(opened).cameras) > 1
 
 
-# What says no more than that the input is damaged, or what of it: the same input without the damage opens.
+# What says no more than that the input is damaged, or what of it: the same input without the damage
+# opens.
 UNDO = re.compile(
-    r"restore|export it|(copy|export|convert|calibrate|track|write|open)\b.* again|write it by|correct|check the path|"
+    r"restore|export it|(copy|export|convert|calibrate|track|write|open)\b.* again|write it "
+    r"by|correct|check the path|"
     r"see \S+|there are"
 )
 # Not followed: data that is not at hand, or of no refusal of a capture on disk.
@@ -881,16 +982,30 @@ NOT_FOLLOWED = (
 def advice_of(file: Path) -> Iterator[str]:
     """What refusals of a module say to do, with the expressions in it in braces."""
     for node in ast.walk(ast.parse(file.read_text())):
-        is_remedy = isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("remedy", "advice")
-        said = node.value if is_remedy else node.exc.args[0] if isinstance(node, ast.Raise) and is_call(node.exc) else None
+        is_remedy = isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in (
+            "remedy",
+            "advice",
+        )
+        said = (
+            node.value
+            if is_remedy
+            else node.exc.args[0]
+            if isinstance(node, ast.Raise) and is_call(node.exc)
+            else None
+        )
         if isinstance(said, ast.JoinedStr | ast.Constant):
-            text = "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in getattr(said, "values", [said]))
+            text = "".join(
+                part.value if isinstance(part, ast.Constant) else "{}"
+                for part in getattr(said, "values", [said])
+            )
             yield from text.rsplit("; ", 1)[0 if is_remedy else 1 :]
 
 
 def is_call(node: ast.expr | None) -> bool:
     """An error with a text of its own."""
-    return isinstance(node, ast.Call) and bool(node.args) and ast.unparse(node.func).endswith("Error")
+    return (
+        isinstance(node, ast.Call) and bool(node.args) and ast.unparse(node.func).endswith("Error")
+    )
 
 
 def test_every_advice_is_followed_or_undoes_damage():
@@ -900,5 +1015,12 @@ def test_every_advice_is_followed_or_undoes_damage():
     cases = [re.sub(r"\{.*?\}", "{}", mark) for mark in COMMANDS]
     cases += [advice for advice, _ in EDITS]
     assert len(said) > 60
-    is_known = {text: any(case in text or (len(text) > 5 and text in case) for case in (*cases, *NOT_FOLLOWED)) for text in said}
-    assert [text for text in said if text.strip("{}") and not is_known[text] and not UNDO.search(text)] == []
+    is_known = {
+        text: any(
+            case in text or (len(text) > 5 and text in case) for case in (*cases, *NOT_FOLLOWED)
+        )
+        for text in said
+    }
+    assert [
+        text for text in said if text.strip("{}") and not is_known[text] and not UNDO.search(text)
+    ] == []

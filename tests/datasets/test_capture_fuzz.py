@@ -1,4 +1,6 @@
-"""Whatever is on disk: a capture opens and every frame is read, or one line says why not. No traceback, no hang, no code run."""
+"""Whatever is on disk: a capture opens and every frame is read, or one line says why not. No
+traceback, no hang, no code run.
+"""
 
 import io
 import os
@@ -39,7 +41,9 @@ def intact(tmp_path_factory) -> dict[str, Path]:
 
 
 class HangError(BaseException):
-    """No reader takes this for what a damaged file makes it stumble over, as it would an `OSError`."""
+    """No reader takes this for what a damaged file makes it stumble over, as it would an
+    `OSError`.
+    """
 
 
 @contextmanager
@@ -71,9 +75,14 @@ def test_intact_captures_are_read(intact, layout):
 
 @pytest.mark.parametrize("layout", CAPTURES)
 def test_one_damaged_file(intact, layout, tmp_path):
-    """Flipped, cut, replaced, inserted and repeated bytes in any file of any layout: success or one line."""
-    files = sorted(file.relative_to(intact[layout]) for file in intact[layout].rglob("*") if file.is_file())
-    headers = [file for file in files if file.suffix not in (".png", ".mp4")]  # there is the trouble; the others outnumber them
+    """Flipped, cut, replaced, inserted and repeated bytes in any file of any layout: success or one
+    line.
+    """
+    files = sorted(
+        file.relative_to(intact[layout]) for file in intact[layout].rglob("*") if file.is_file()
+    )
+    # there is the trouble; the others outnumber them
+    headers = [file for file in files if file.suffix not in (".png", ".mp4")]
     pictures = [file for file in files if file not in headers]
     copy = Path(shutil.copytree(intact[layout], tmp_path / "copy"))
     random = Random(layout)
@@ -90,7 +99,11 @@ def test_one_damaged_file(intact, layout, tmp_path):
     ("old", "new", "expected"),
     [
         (b"VideoHandler", b"\x9dideoHandler", "dynerf"),
-        (b"avc1", b"zzzz", "cam01.mp4: wanted a video in a known code such as H.264, got an unknown one"),
+        (
+            b"avc1",
+            b"zzzz",
+            "cam01.mp4: wanted a video in a known code such as H.264, got an unknown one",
+        ),
     ],
 )
 def test_damaged_tags_of_a_video(intact, tmp_path, old, new, expected):
@@ -123,7 +136,8 @@ def png(width: int, height: int, *chunks: tuple[bytes, bytes]) -> bytes:
     parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), *chunks]
     parts += [(b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
     body = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts
     )
     return b"\x89PNG\r\n\x1a\n" + body
 
@@ -168,7 +182,10 @@ def object_array(mark: Path) -> bytes:
 
 
 YAML_HEAD = b"%YAML:1.0\n---\n"
-ANCHORS = b"".join(b"a%d: &a%d [%s]\n" % (i, i, b",".join([b"*a%d" % (i - 1)] * 9) if i else b"x") for i in range(12))
+ANCHORS = b"".join(
+    b"a%d: &a%d [%s]\n" % (i, i, b",".join([b"*a%d" % (i - 1)] * 9) if i else b"x")
+    for i in range(12)
+)
 NAMES_YAML = b'names:\n   - "00"\n   - "01"\n   - "02"\n'
 
 
@@ -209,7 +226,10 @@ def hostile_files(mark: Path) -> dict[str, tuple[str, str, bytes | Callable[[], 
         "jpeg 60000 x 60000": (*picture, jpeg(60000, 60000)),
         "background 60000 x 60000": ("enerf-outdoor", "bkgd/00.png", png(60000, 60000)),
         "depth 60000 x 60000": ("rgbd", "depth/0.png", png(60000, 60000)),
-        "script as picture": (*picture, b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\n(x) run\n"),
+        "script as picture": (
+            *picture,
+            b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\n(x) run\n",
+        ),
         "2^60 cameras": ("colmap", f"{model}cameras.bin", struct.pack("<Q", 1 << 60) + bytes(200)),
         "endless name": ("colmap", f"{model}images.bin", struct.pack("<Q", 1) + b"x" * 5000),
         "yaml of 2^31 rows": (*intri, YAML_HEAD + NAMES_YAML + matrix % (b"2000000000", b"d")),
@@ -219,28 +239,67 @@ def hostile_files(mark: Path) -> dict[str, tuple[str, str, bytes | Callable[[], 
         "yaml anchors": (*intri, YAML_HEAD + ANCHORS + b"names: *a11\n"),
         "yaml nested deeply": (*intri, YAML_HEAD + b"names: " + b"[" * 1_000_000),
         "yaml maps nested deeply": (*intri, YAML_HEAD + b"names: " + b"{a: " * 500_000),
-        "yaml of another version": (*intri, b"%YAML 1.2\n---\nK_\0: !!opencv-matrix\n" + NAMES_YAML),
+        "yaml of another version": (
+            *intri,
+            b"%YAML 1.2\n---\nK_\0: !!opencv-matrix\n" + NAMES_YAML,
+        ),
         "xml as yaml": (*intri, b'<?xml version="1.0"?>\n<opencv_storage>' + b"<a>" * 200_000),
         "json as yaml": (*intri, b'{"a":' * 200_000),
-        "a million names": (*intri, YAML_HEAD + b"names:\n" + b"".join(b"  - c%d\n" % i for i in range(100_000))),
+        "a million names": (
+            *intri,
+            YAML_HEAD + b"names:\n" + b"".join(b"  - c%d\n" % i for i in range(100_000)),
+        ),
         "json nested deeply": (*names, b'{"frames": ' + b"[" * 1_000_000),
-        "json of a huge number": (*names, b'{"frames": [{"file_path": "a.png", "w": 1e400}], "w": ' + b"9" * 100_000 + b"}"),
-        "json of NaN": (*names, b'{"w": NaN, "frames": [{"file_path": "a.png", "transform_matrix": [[NaN]]}]}'),
-        "json of half a sign": (*names, b'{"frames": [{"file_path": "\\ud800.png", "transform_matrix": 3}]}'),
+        "json of a huge number": (
+            *names,
+            b'{"frames": [{"file_path": "a.png", "w": 1e400}], "w": ' + b"9" * 100_000 + b"}",
+        ),
+        "json of NaN": (
+            *names,
+            b'{"w": NaN, "frames": [{"file_path": "a.png", "transform_matrix": [[NaN]]}]}',
+        ),
+        "json of half a sign": (
+            *names,
+            b'{"frames": [{"file_path": "\\ud800.png", "transform_matrix": 3}]}',
+        ),
         "models nested deeply": ("spaces", "models.json", b"[" * 1_000_000),
         "toml nested deeply": ("capture.toml", "capture.toml", b"a = " + b"[" * 100_000),
         "toml tables nested deeply": ("capture.toml", "capture.toml", b"a = " + b"{a=" * 50_000),
-        "toml of a huge number": ("capture.toml", "capture.toml", b"fps = " + b"9" * 4000 + b"\ncamera = []"),
-        "units of a huge number": ("capture.toml", "units.toml", b"units_per_metre = " + b"9" * 4000),
-        "h5 link to another file": (*stored, h5(lambda file: file.update({"rgb": h5py.ExternalLink("/etc/passwd", "/rgb")}))),
-        "h5 link to itself": (*stored, h5(lambda file: file.update({"rgb": h5py.SoftLink("/rgb")}))),
-        "h5 of objects": (*stored, h5(lambda file: file.create_dataset("rgb", data=["x"] * 3, dtype=h5py.string_dtype()))),
-        "h5 of a wrong rank": (*stored, h5(lambda file: file.create_dataset("rgb", data=np.zeros(5, np.uint8)))),
-        "h5 of 10^15 bytes": (*stored, h5(lambda file: file.create_dataset("rgb", (2, 10**9, 480, 640, 3), "u1", chunks=True))),
+        "toml of a huge number": (
+            "capture.toml",
+            "capture.toml",
+            b"fps = " + b"9" * 4000 + b"\ncamera = []",
+        ),
+        "units of a huge number": (
+            "capture.toml",
+            "units.toml",
+            b"units_per_metre = " + b"9" * 4000,
+        ),
+        "h5 link to another file": (
+            *stored,
+            h5(lambda file: file.update({"rgb": h5py.ExternalLink("/etc/passwd", "/rgb")})),
+        ),
+        "h5 link to itself": (
+            *stored,
+            h5(lambda file: file.update({"rgb": h5py.SoftLink("/rgb")})),
+        ),
+        "h5 of objects": (
+            *stored,
+            h5(lambda file: file.create_dataset("rgb", data=["x"] * 3, dtype=h5py.string_dtype())),
+        ),
+        "h5 of a wrong rank": (
+            *stored,
+            h5(lambda file: file.create_dataset("rgb", data=np.zeros(5, np.uint8))),
+        ),
+        "h5 of 10^15 bytes": (
+            *stored,
+            h5(lambda file: file.create_dataset("rgb", (2, 10**9, 480, 640, 3), "u1", chunks=True)),
+        ),
         "ply of 10^12 points": (
             "enerf-outdoor",
             "background.ply",
-            b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty float x\nend_header\n",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty float "
+            b"x\nend_header\n",
         ),
         "text of numbers": ("rgbd", "pose/0.txt", b"1 " * 2_000_000),
     }
@@ -260,7 +319,9 @@ def little_memory() -> Iterator[None]:
 
 @pytest.mark.parametrize("name", hostile_files(Path("mark")))
 def test_hostile_files_give_one_line(intact, name, tmp_path):
-    """Bombs, claims beyond all measure, pickles and tags are refused in one line, soon, without memory, and nothing is run."""
+    """Bombs, claims beyond all measure, pickles and tags are refused in one line, soon, without
+    memory, and nothing is run.
+    """
     layout, file, content = hostile_files(tmp_path / "mark")[name]
     folder = Path(shutil.copytree(intact[layout], tmp_path / "hostile"))
     (folder / file).write_bytes(content() if callable(content) else content)

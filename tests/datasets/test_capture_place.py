@@ -21,8 +21,17 @@ def place(dynerf, monkeypatch):
     folder.mkdir()
     dynerf.rename(folder / "room")
     monkeypatch.chdir(folder)
-    choice = {"views": Views(("cam00",), "test"), "frames": Frames(0, 1), "synthesis": Synthesis(2), "path": CameraPath(0)}
-    prepare_truth(Path("runs/one"), open_capture(Path("room")), dataclasses.replace(load_protocol("demo"), **choice))
+    choice = {
+        "views": Views(("cam00",), "test"),
+        "frames": Frames(0, 1),
+        "synthesis": Synthesis(2),
+        "path": CameraPath(0),
+    }
+    prepare_truth(
+        Path("runs/one"),
+        open_capture(Path("room")),
+        dataclasses.replace(load_protocol("demo"), **choice),
+    )
     return folder
 
 
@@ -33,13 +42,17 @@ def test_a_run_goes_on_from_any_folder(place, tmp_path, monkeypatch):
 
     after = recorded_capture(RunFolder(place / "runs" / "one"))
 
-    assert [after.digest(name) for name in after.camera_names] == [before.digest(name) for name in before.camera_names]
+    assert [after.digest(name) for name in after.camera_names] == [
+        before.digest(name) for name in before.camera_names
+    ]
     assert after.scene == "room"
     assert read_json(place / "runs" / "one" / "capture.json")["path"] == "room"
 
 
 def test_a_run_that_moved_with_its_capture_finds_it(place, tmp_path, monkeypatch):
-    """Run and capture moved together still belong together; once the capture is gone, the message names where it was."""
+    """Run and capture moved together still belong together; once the capture is gone, the message
+    names where it was.
+    """
     monkeypatch.chdir(tmp_path)
     place.rename(tmp_path / "elsewhere")
     run = RunFolder(tmp_path / "elsewhere" / "runs" / "one")
@@ -50,7 +63,9 @@ def test_a_run_that_moved_with_its_capture_finds_it(place, tmp_path, monkeypatch
 
 
 def test_a_run_of_an_earlier_version_is_read(place):
-    """A record that knows only the path as it was given is still found from the folder where that path holds."""
+    """A record that knows only the path as it was given is still found from the folder where that
+    path holds.
+    """
     file = Path("runs/one/capture.json")
     write_json(file, {key: value for key, value in read_json(file).items() if key != "place"})
     assert recorded_capture(RunFolder(Path("runs/one"))).scene == "room"

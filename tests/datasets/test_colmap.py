@@ -38,9 +38,13 @@ def colmap(colmap_rig, tmp_path) -> Path:
     return Path(shutil.copytree(colmap_rig, tmp_path / "rig"))
 
 
-@pytest.mark.parametrize(("place", "binary"), [("sparse/0", False), ("sparse", True), ("colmap/sparse/0", True)])
+@pytest.mark.parametrize(
+    ("place", "binary"), [("sparse/0", False), ("sparse", True), ("colmap/sparse/0", True)]
+)
 def test_opens_as_calibrated(tmp_path, place, binary):
-    """Text and binary models at each usual place give the cameras that were written, in the order of names."""
+    """Text and binary models at each usual place give the cameras that were written, in the order
+    of names.
+    """
     write_colmap(tmp_path / "rig")
     model = shutil.move(tmp_path / "rig" / "sparse" / "0", tmp_path / "model")
     shutil.rmtree(tmp_path / "rig" / "sparse")
@@ -48,7 +52,12 @@ def test_opens_as_calibrated(tmp_path, place, binary):
     if binary:
         make_binary(model)
     capture = open_capture(tmp_path / "rig")
-    assert (capture.layout, capture.camera_names, capture.n_frames, capture.fps) == ("colmap", NAMES, 1, 0.0)
+    assert (capture.layout, capture.camera_names, capture.n_frames, capture.fps) == (
+        "colmap",
+        NAMES,
+        1,
+        0.0,
+    )
     for index, (camera, truth) in enumerate(zip(capture.cameras, make_rig(), strict=True)):
         np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-9)
         np.testing.assert_allclose(camera.K, truth.K)
@@ -56,19 +65,27 @@ def test_opens_as_calibrated(tmp_path, place, binary):
 
 
 def test_depth_range_and_units_follow_the_points(colmap):
-    """Near and far are 0.8 and 1.2 times the 1st and 99th percentile of the points' depth, 2 metres their median."""
+    """Near and far are 0.8 and 1.2 times the 1st and 99th percentile of the points' depth, 2 metres
+    their median.
+    """
     capture = open_capture(colmap)
     points_world = np.random.default_rng(0).uniform((-0.5, -0.5, 3.0), (1.0, 0.5, 6.0), (60, 3))
     depths = [camera.project(points_world)[1] for camera in make_rig()]
     for camera, depth in zip(capture.cameras, depths, strict=True):
-        assert (camera.near, camera.far) == pytest.approx((0.8 * np.percentile(depth, 1), 1.2 * np.percentile(depth, 99)))
-    assert capture.units_per_metre == pytest.approx(np.median([np.median(depth) for depth in depths]) / 2)
+        assert (camera.near, camera.far) == pytest.approx(
+            (0.8 * np.percentile(depth, 1), 1.2 * np.percentile(depth, 99))
+        )
+    assert capture.units_per_metre == pytest.approx(
+        np.median([np.median(depth) for depth in depths]) / 2
+    )
     assert capture.units_origin == "guess: median scene depth taken for 2 m"
 
 
 @pytest.mark.parametrize("pattern", ["{}/images", "images/{}", "{}/images_scaled_2", "{}"])
 def test_image_folders(tmp_path, pattern):
-    """One folder of frames per camera opens under the names of the model; images_scaled_2 is as QUEEN keeps Google Immersive."""
+    """One folder of frames per camera opens under the names of the model; images_scaled_2 is as
+    QUEEN keeps Google Immersive.
+    """
     write_colmap_model(tmp_path / "sparse", [f"{name}.png" for name in NAMES])
     write_folders(tmp_path, NAMES, pattern)
     capture = open_capture(tmp_path)
@@ -78,7 +95,9 @@ def test_image_folders(tmp_path, pattern):
 
 @pytest.mark.parametrize("place", ["", "videos"])
 def test_videos(tmp_path, place):
-    """One video per camera opens, also where the model's images are named after a folder per camera."""
+    """One video per camera opens, also where the model's images are named after a folder per
+    camera.
+    """
     write_colmap_model(tmp_path / "sparse", [f"{name}/0000.png" for name in NAMES])
     write_videos(tmp_path / place)
     capture = open_capture(tmp_path)
@@ -95,7 +114,9 @@ def test_simple_pinhole(colmap):
 def test_scaled_images(colmap):
     """Images of half the calibrated size scale the intrinsics."""
     for index, name in enumerate(NAMES):
-        write_image(colmap / "images" / f"{name}.png", make_image(index, 0, WIDTH // 2, HEIGHT // 2))
+        write_image(
+            colmap / "images" / f"{name}.png", make_image(index, 0, WIDTH // 2, HEIGHT // 2)
+        )
     assert open_capture(colmap).cameras[1].K[0, 0] == pytest.approx(make_rig()[1].K[0, 0] / 2)
 
 
@@ -116,7 +137,10 @@ DISTORTED = {
     ),
     "SIMPLE_RADIAL_FISHEYE": ("57 32 24 -0.05", [[6.557459, 39.2655246], [53.2502479, 13.3748761]]),
     "RADIAL_FISHEYE": ("57 31 25 -0.05 0.01", [[5.5374212, 40.2775473], [52.2569533, 14.3715233]]),
-    "OPENCV_FISHEYE": ("57 58 31 25 -0.05 0.01 0.003 -0.001", [[5.5359016, 40.5465022], [52.2572881, 14.1848885]]),
+    "OPENCV_FISHEYE": (
+        "57 58 31 25 -0.05 0.01 0.003 -0.001",
+        [[5.5359016, 40.5465022], [52.2572881, 14.1848885]],
+    ),
 }
 RAYS = np.array([[-0.5, 0.3], [0.4, -0.2]])
 
@@ -128,18 +152,25 @@ def rewrite_cameras(folder: Path, model: str, params: str) -> None:
 
 @pytest.mark.parametrize("model", DISTORTED)
 def test_distorted_models(colmap, model):
-    """Every model that OpenCV can express bends rays as pycolmap does, and frames come back as the pinhole images."""
+    """Every model that OpenCV can express bends rays as pycolmap does, and frames come back as the
+    pinhole images.
+    """
     params, by_pycolmap = DISTORTED[model]
     rewrite_cameras(colmap, model, params)
     capture = open_capture(colmap)
     lens, pinhole = capture.sources[2].lens, capture.cameras[2].K
-    np.testing.assert_allclose(lens.distort(RAYS * pinhole[[0, 1], [0, 1]] + pinhole[:2, 2], pinhole), by_pycolmap, atol=1e-6)
+    np.testing.assert_allclose(
+        lens.distort(RAYS * pinhole[[0, 1], [0, 1]] + pinhole[:2, 2], pinhole),
+        by_pycolmap,
+        atol=1e-6,
+    )
     write_image(colmap / "images" / "cam02.png", through_lens(lens))
     assert psnr(open_capture(colmap).frame("cam02", 0), straight(lens, pinhole)) > 40
 
 
 @pytest.mark.parametrize(
-    ("model", "params"), [("FOV", "57 58 32 24 0.2"), ("THIN_PRISM_FISHEYE", "57 58 32 24 0.1 0 0 0 0 0 0.01 0.01")]
+    ("model", "params"),
+    [("FOV", "57 58 32 24 0.2"), ("THIN_PRISM_FISHEYE", "57 58 32 24 0.1 0 0 0 0 0 0.01 0.01")],
 )
 def test_models_without_an_equivalent(colmap, model, params):
     """Models that OpenCV cannot express are refused with the command that undistorts."""
@@ -181,7 +212,9 @@ def test_frames_that_the_model_does_not_register(tmp_path, arrangement):
 
 
 def test_nothing_is_noted_where_all_is_registered(colmap):
-    """Other folders beside the frames are no cameras; they are listed, once and without texts for people."""
+    """Other folders beside the frames are no cameras; they are listed, once and without texts for
+    people.
+    """
     assert open_capture(colmap).notes == ()
     shutil.copytree(colmap / "images", colmap / "masks")
     for name in ("points.xyz", "README.md", "LICENSE"):
@@ -190,9 +223,14 @@ def test_nothing_is_noted_where_all_is_registered(colmap):
 
 
 @pytest.mark.parametrize("binary", [False, True])
-@pytest.mark.parametrize("name", ["../secret.png", "..", "../secret/0.png", "cam/../../secret.png", "/ABSOLUTE", "x" * 5000])
+@pytest.mark.parametrize(
+    "name",
+    ["../secret.png", "..", "../secret/0.png", "cam/../../secret.png", "/ABSOLUTE", "x" * 5000],
+)
 def test_names_do_not_lead_out_of_the_capture(tmp_path, name, binary):
-    """A hostile model finds no image, folder or video outside the capture; what no file system takes is not there."""
+    """A hostile model finds no image, folder or video outside the capture; what no file system
+    takes is not there.
+    """
     write_image(tmp_path / "secret.png", make_image(0, 0))
     write_image(tmp_path / "secret" / "0.png", make_image(0, 0))
     name = name.replace("/ABSOLUTE", str(tmp_path / "secret.png"))
@@ -223,7 +261,9 @@ def test_image_missing_on_disk(colmap):
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
 @pytest.mark.parametrize("lost", [1, 60])
 def test_truncated_binary_model(colmap, name, lost):
-    """A binary model that lost any number of bytes is refused, also where pycolmap reads on and invents the rest."""
+    """A binary model that lost any number of bytes is refused, also where pycolmap reads on and
+    invents the rest.
+    """
     model = colmap / "sparse" / "0"
     make_binary(model)
     content = (model / name).read_bytes()
@@ -237,7 +277,9 @@ def test_incomplete_model(colmap):
     assert "no images.txt" in refusal(colmap)
 
 
-@pytest.mark.parametrize(("name", "text"), [("cameras.txt", "1 PINHOLE 64"), ("images.txt", "no model at all\n")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("cameras.txt", "1 PINHOLE 64"), ("images.txt", "no model at all\n")]
+)
 def test_garbled_text_model(colmap, name, text):
     """A text model that cannot be parsed is refused in one line."""
     (colmap / "sparse" / "0" / name).write_text(text)
@@ -246,12 +288,16 @@ def test_garbled_text_model(colmap, name, text):
 
 def test_several_images_of_one_camera(colmap):
     """A model made of several instants has several poses per camera and is refused."""
-    write_colmap_model(colmap / "sparse" / "0", ["cam00/0.png", "cam00/1.png", "cam01/0.png", "cam01/1.png"])
+    write_colmap_model(
+        colmap / "sparse" / "0", ["cam00/0.png", "cam00/1.png", "cam01/0.png", "cam01/1.png"]
+    )
     assert "got several images of cam00, cam01; calibrate with one instant" in refusal(colmap)
 
 
 def test_binary_and_text_that_differ(colmap):
-    """The binary model is read; that the text files beside it say something else is noted, and nothing where they agree."""
+    """The binary model is read; that the text files beside it say something else is noted, and
+    nothing where they agree.
+    """
     texts = shutil.copytree(colmap / "sparse" / "0", colmap.with_name("texts"))
     make_binary(colmap / "sparse" / "0")
     shutil.copytree(texts, colmap / "sparse" / "0", dirs_exist_ok=True)
@@ -262,7 +308,10 @@ def test_binary_and_text_that_differ(colmap):
     file.write_text(" ".join([*words[:5], "0.3", *words[6:]]))
     capture = open_capture(colmap)
     assert np.array_equal(capture.cameras[0].K, whole.cameras[0].K)
-    assert any("sparse/0: cameras.bin is read; cameras.txt beside it" in note and "cam00" in note for note in capture.notes)
+    assert any(
+        "sparse/0: cameras.bin is read; cameras.txt beside it" in note and "cam00" in note
+        for note in capture.notes
+    )
 
 
 def test_rows_of_images_without_rows_of_points(colmap):
@@ -272,7 +321,10 @@ def test_rows_of_images_without_rows_of_points(colmap):
     file.write_text("".join(f"{row}\n" for row in file.read_text().splitlines()[::2]))
     capture = open_capture(colmap)
     assert capture.camera_names == whole.camera_names
-    assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(capture.cameras, whole.cameras, strict=True))
+    assert all(
+        np.array_equal(a.world_to_camera, b.world_to_camera)
+        for a, b in zip(capture.cameras, whole.cameras, strict=True)
+    )
     assert not any("not registered" in note for note in capture.notes)
 
 
@@ -282,7 +334,9 @@ def test_of_several_models_that_of_most_images_is_taken(colmap):
     write_colmap_model(colmap / "sparse" / "0", ["cam00.png", "cam01.png"])
     capture = open_capture(colmap)
     assert capture.camera_names == NAMES
-    assert "sparse/1 is taken, the model of most images (4); not read: sparse/0 (2)" in capture.notes
+    assert (
+        "sparse/1 is taken, the model of most images (4); not read: sparse/0 (2)" in capture.notes
+    )
 
 
 def test_a_model_in_the_folder_itself(colmap):
@@ -291,7 +345,9 @@ def test_a_model_in_the_folder_itself(colmap):
     for file in (colmap / "sparse" / "0").iterdir():
         shutil.move(file, colmap / file.name)
     shutil.rmtree(colmap / "sparse")
-    assert [camera.K.tolist() for camera in open_capture(colmap).cameras] == [camera.K.tolist() for camera in whole.cameras]
+    assert [camera.K.tolist() for camera in open_capture(colmap).cameras] == [
+        camera.K.tolist() for camera in whole.cameras
+    ]
 
 
 def test_smaller_pictures_alone(colmap):
@@ -312,7 +368,9 @@ def test_quaternions_of_another_length_are_brought_to_one(colmap):
     rows = file.read_text().splitlines()
     for at in range(0, len(rows), 2):
         words = rows[at].split()
-        rows[at] = " ".join([words[0], *(f"{1.1 * float(word):.17g}" for word in words[1:5]), *words[5:]])
+        rows[at] = " ".join(
+            [words[0], *(f"{1.1 * float(word):.17g}" for word in words[1:5]), *words[5:]]
+        )
     file.write_text("\n".join(rows) + "\n")
     capture = open_capture(colmap)
     for camera, true in zip(capture.cameras, whole.cameras, strict=True):

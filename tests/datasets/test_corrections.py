@@ -1,4 +1,6 @@
-"""``corrections.toml``: cameras brought into step and to one brightness, whatever reads the capture."""
+"""``corrections.toml``: cameras brought into step and to one brightness, whatever reads the
+capture.
+"""
 
 from pathlib import Path
 
@@ -24,12 +26,18 @@ def level(camera: int, frame: int) -> int:
 
 @pytest.fixture
 def rig(tmp_path) -> Path:
-    """Cameras of which frame t of the second shows what the others show at t - 2, and of the third at t + 1."""
+    """Cameras of which frame t of the second shows what the others show at t - 2, and of the third
+    at t + 1.
+    """
     folder = tmp_path / "rig"
     folder.mkdir()
     for index, name in enumerate(NAMES):
         late = {1: -2, 2: 1}.get(index, 0)
-        write_video(folder / f"{name}.mp4", [np.full(FLAT, level(index, t + late + 2), np.uint8) for t in range(N_FRAMES)], FPS)
+        write_video(
+            folder / f"{name}.mp4",
+            [np.full(FLAT, level(index, t + late + 2), np.uint8) for t in range(N_FRAMES)],
+            FPS,
+        )
     write_poses(folder, make_rig())
     return folder
 
@@ -41,7 +49,9 @@ def levels(folder: Path, name: str) -> np.ndarray:
 def test_cameras_are_brought_into_step(rig):
     """Frame t of every camera shows one instant; three of nine instants were not seen by all."""
     before = open_capture(rig)
-    write_corrections(rig / FILE, {NAMES[1]: Correction(NAMES[1], -2), NAMES[2]: Correction(NAMES[2], 1)})
+    write_corrections(
+        rig / FILE, {NAMES[1]: Correction(NAMES[1], -2), NAMES[2]: Correction(NAMES[2], 1)}
+    )
     capture = open_capture(rig)
 
     assert (before.n_frames, capture.n_frames) == (9, 6)
@@ -50,7 +60,10 @@ def test_cameras_are_brought_into_step(rig):
         assert levels(rig, name) == pytest.approx(wanted, abs=1.5)  # x264 and its colours
         assert len(list(capture.frames(name, 2, 5))) == 3
     assert capture.digest(NAMES[1]) != before.digest(NAMES[1])
-    assert f"{NAMES[1]} 2 frames behind, shifted; {NAMES[2]} 1 frame ahead, shifted" in capture.notes[-1]
+    assert (
+        f"{NAMES[1]} 2 frames behind, shifted; {NAMES[2]} 1 frame ahead, shifted"
+        in capture.notes[-1]
+    )
 
 
 def test_colours_are_divided(rig):
@@ -68,7 +81,9 @@ def test_colours_are_divided(rig):
 
 
 def test_a_file_without_corrections_changes_nothing(rig):
-    """What needs no correction is not written; a capture with such a file has the digests that it had."""
+    """What needs no correction is not written; a capture with such a file has the digests that it
+    had.
+    """
     before = open_capture(rig)
     write_corrections(rig / FILE, {NAMES[0]: Correction(NAMES[0])})
     assert "[[camera]]" not in (rig / FILE).read_text()
@@ -105,7 +120,9 @@ def finding(camera: str, question: str, verdict: str, **values: object) -> Findi
 
 
 def test_findings_become_corrections_and_add_up(rig):
-    """Whole frames and gains that the check minds; a second repair adds to the first, one without findings writes nothing."""
+    """Whole frames and gains that the check minds; a second repair adds to the first, one without
+    findings writes nothing.
+    """
     first = [
         finding("rig", "time offset", "bad", largest_frames=2.1),
         finding("cam01", "time offset", "bad", offset_frames=-1.9),
@@ -124,7 +141,10 @@ def test_findings_become_corrections_and_add_up(rig):
     assert repair_capture(rig, first).startswith(str(rig / FILE))
     repair_capture(
         rig,
-        [finding("cam01", "time offset", "bad", offset_frames=1.2), finding("cam03", "colour gain", "warn", gain=[1, 0.5, 2])],
+        [
+            finding("cam01", "time offset", "bad", offset_frames=1.2),
+            finding("cam03", "colour gain", "warn", gain=[1, 0.5, 2]),
+        ],
     )
     assert read_corrections(rig / FILE) == {
         "cam01": Correction("cam01", -1),

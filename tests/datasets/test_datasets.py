@@ -1,4 +1,6 @@
-"""Opening a capture: detection of the layout, units, the camera path of a synthetic capture, and what is refused."""
+"""Opening a capture: detection of the layout, units, the camera path of a synthetic capture, and
+what is refused.
+"""
 
 import json
 import pickle
@@ -48,7 +50,10 @@ def test_no_folder_no_content_no_layout(tmp_path):
     assert f"got another file; give its folder, {tmp_path.name}" in refusal(tmp_path / "file")
     assert "got an empty folder" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
-    assert "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: " in message
+    assert (
+        "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not "
+        "capture.toml: " in message
+    )
     assert all(f"not {name}: " in message for name in DATASETS)
     assert "not dynerf: no poses_bounds.npy" in message
 
@@ -60,20 +65,28 @@ def test_poses_without_frames(tmp_path):
 
 
 def test_unknown_layout(dynerf):
-    """It is refused with the nearest known one; a known one that does not fit is not replaced by another."""
-    assert f"wanted a layout of {', '.join(DATASETS)}, got 'dynerfs'; did you mean dynerf?" in refusal(dynerf, "dynerfs")
+    """It is refused with the nearest known one; a known one that does not fit is not replaced by
+    another.
+    """
+    assert (
+        f"wanted a layout of {', '.join(DATASETS)}, got 'dynerfs'; did you mean dynerf?"
+        in refusal(dynerf, "dynerfs")
+    )
     assert refusal(dynerf, "???").endswith(f"wanted a layout of {', '.join(DATASETS)}, got '???'")
     assert "not colmap" in refusal(dynerf, "colmap")
 
 
 def test_a_whole_data_set(dynerf, tmp_path):
-    """Where a data set's root is named instead of a scene, the captures in it are listed, but not hundreds."""
+    """Where a data set's root is named instead of a scene, the captures in it are listed, but not
+    hundreds.
+    """
     root = tmp_path / "data_set"
     write_colmap(root / "office")
     shutil.copytree(dynerf, root / "coffee")
     (root / "licence").mkdir()
     assert refusal(root).startswith(
-        f"{root}: wanted a capture in a known layout; name one of the captures in it: coffee, office ("
+        f"{root}: wanted a capture in a known layout; name one of the captures in it: coffee, "
+        f"office ("
     )
     for index in range(25):
         shutil.copytree(dynerf, root / f"scene{index:02d}")
@@ -87,7 +100,9 @@ def test_captures_travel_between_processes(dynerf):
 
 
 def test_path_with_and_without_images(dynerf):
-    """Poses open alone, and with one image each and the instant they show; another number of images is refused."""
+    """Poses open alone, and with one image each and the instant they show; another number of images
+    is refused.
+    """
     rig = make_rig()
     write_poses(dynerf / "path", rig)
     alone = open_path(dynerf)
@@ -96,7 +111,12 @@ def test_path_with_and_without_images(dynerf):
     assert open_capture(dynerf).notes == ("not used: other/",)  # and the path is, later
     assert alone is not None
     assert (alone.images, alone.time_s) == (None, 0.0)
-    assert [camera.name for camera in alone.cameras] == ["path0000", "path0001", "path0002", "path0003"]
+    assert [camera.name for camera in alone.cameras] == [
+        "path0000",
+        "path0001",
+        "path0002",
+        "path0003",
+    ]
     for index in range(4):
         write_image(dynerf / "path" / "images" / f"{index:04d}.png", make_image(index, 0))
     (dynerf / "demo.json").write_text(json.dumps({"units_per_metre": 1.0, "path_time_s": 0.4}))

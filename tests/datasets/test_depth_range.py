@@ -11,7 +11,9 @@ K = np.array([[50.0, 0.0, 32.0], [0.0, 50.0, 24.0], [0.0, 0.0, 1.0]])
 
 
 def looking_at(centre, target) -> np.ndarray:
-    """world_to_camera of a camera at `centre` whose optical axis goes through `target`; y is down."""
+    """world_to_camera of a camera at `centre` whose optical axis goes through `target`; y
+    is down.
+    """
     forwards = np.subtract(target, centre) / np.linalg.norm(np.subtract(target, centre))
     right = np.cross([0.0, 1.0, 0.0], forwards)
     right /= np.linalg.norm(right)
@@ -23,12 +25,16 @@ def looking_at(centre, target) -> np.ndarray:
 
 def ring(count: int, radius: float = 4.0) -> list[np.ndarray]:
     angles = 2 * np.pi * np.arange(count) / count
-    return [looking_at((radius * np.sin(a), -0.5, radius * np.cos(a)), (0.0, 0.0, 0.0)) for a in angles]
+    return [
+        looking_at((radius * np.sin(a), -0.5, radius * np.cos(a)), (0.0, 0.0, 0.0)) for a in angles
+    ]
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 12])
 def test_cameras_around_a_scene(count):
-    """Cameras that look inwards from all sides, however few, get 1/4 and 4 times the distance to what they look at."""
+    """Cameras that look inwards from all sides, however few, get 1/4 and 4 times the distance to
+    what they look at.
+    """
     distance = np.hypot(4.0, 0.5)
     assert rig_depth_range(ring(count)) == [pytest.approx((distance / 4, 4 * distance))] * count
 
@@ -41,9 +47,13 @@ def test_cameras_in_an_arc():
     assert found == [pytest.approx((depth / 4, 4 * depth)) for depth in expected]
 
 
-@pytest.mark.parametrize(("place", "target"), [((4.0, 0.0, 4.0), (8.0, 0.0, 8.0)), ((60.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+@pytest.mark.parametrize(
+    ("place", "target"), [((4.0, 0.0, 4.0), (8.0, 0.0, 8.0)), ((60.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+)
 def test_a_camera_that_looks_elsewhere_gets_the_range_of_the_others(place, target):
-    """One camera that looks away does not get a negative depth, one that stands far off no depth of its own."""
+    """One camera that looks away does not get a negative depth, one that stands far off no depth of
+    its own.
+    """
     away = looking_at(place, target)
     ranges = rig_depth_range([*ring(8), away])
     assert ranges[-1] == pytest.approx(np.median(ranges[:-1], axis=0), rel=0.1)
@@ -57,9 +67,14 @@ def test_rigs_that_look_at_no_common_point(rig):
     targets = {
         "parallel": [(x, 0.0, 9.0) for x, _, _ in centres],
         "outwards": [(0.4 + 9.0 * (x - 0.4), 0.0, 1.0) for x, _, _ in centres],
-        "skew": [(x + 0.1 * (-1) ** index, 0.5 * (-1) ** (index // 2), 1.0) for index, (x, _, _) in enumerate(centres)],
+        "skew": [
+            (x + 0.1 * (-1) ** index, 0.5 * (-1) ** (index // 2), 1.0)
+            for index, (x, _, _) in enumerate(centres)
+        ],
     }
-    poses = [looking_at(centre, target) for centre, target in zip(centres, targets[rig], strict=True)]
+    poses = [
+        looking_at(centre, target) for centre, target in zip(centres, targets[rig], strict=True)
+    ]
     assert rig_depth_range(poses) == [pytest.approx((1.0, 100.0))] * 5
 
 
@@ -76,7 +91,11 @@ def test_poses_that_are_none_raise_nothing():
     spoilt[0, 3] = np.nan
     huge = np.eye(4)
     huge[0, 3] = 1e300
-    assert rig_depth_range([np.eye(4), spoilt]) == rig_depth_range([np.eye(4), huge]) == [(0.1, 100.0)] * 2
+    assert (
+        rig_depth_range([np.eye(4), spoilt])
+        == rig_depth_range([np.eye(4), huge])
+        == [(0.1, 100.0)] * 2
+    )
 
 
 def test_depth_of_points_in_view():
@@ -84,7 +103,8 @@ def test_depth_of_points_in_view():
     pose = np.eye(4)
     pose[2, 3] = 1.0  # the camera stands at z = -1
     in_view = np.stack([np.zeros(101), np.zeros(101), np.linspace(-0.5, 9.5, 101)], axis=-1)
-    others = np.array([[0.0, 0.0, -50.0], [30.0, 0.0, 3.0], [0.0, -30.0, 3.0], [0.0, 0.36, -0.5]])  # the last one at v = 60
+    # the last one at v = 60
+    others = np.array([[0.0, 0.0, -50.0], [30.0, 0.0, 3.0], [0.0, -30.0, 3.0], [0.0, 0.36, -0.5]])
     found = points_depth_range(np.concatenate([in_view, others]), pose, K, (64, 48))
     assert found == pytest.approx((0.6, 5.5, 10.49), abs=1e-9)
     assert points_depth_range(others, pose, K, (64, 48)) is None
@@ -95,7 +115,9 @@ def test_points_of_a_ply_file(tmp_path, binary):
     """Vertices come back from text and binary files, whatever else they carry."""
     points = np.random.default_rng(1).normal(size=(20, 3)).astype("<f4")
     header = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex 20\n"
-    header += "property float x\nproperty float y\nproperty float z\nproperty uchar red\nend_header\n"
+    header += (
+        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nend_header\n"
+    )
     file = tmp_path / "background.ply"
     if binary:
         rows = np.empty(20, [("xyz", "<f4", 3), ("red", "u1")])
@@ -106,7 +128,10 @@ def test_points_of_a_ply_file(tmp_path, binary):
     np.testing.assert_allclose(read_points(file), points, atol=1e-7)
 
 
-HEADER = "ply\nformat ascii 1.0\n{}element vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n{}"
+HEADER = (
+    "ply\nformat ascii 1.0\n{}element vertex {}\nproperty float x\nproperty float y\nproperty "
+    "float z\nend_header\n{}"
+)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +139,8 @@ HEADER = "ply\nformat ascii 1.0\n{}element vertex {}\nproperty float x\nproperty
     [
         b"",
         b"no ply at all",
-        b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty double x\nend_header\n123",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty double "
+        b"x\nend_header\n123",
         HEADER.format("", 2, "1 2 3\n1 nan 3\n").encode(),
         HEADER.format("", 0, "").encode(),
         HEADER.format("", 3, "1 2\n").encode(),

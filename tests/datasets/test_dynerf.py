@@ -23,7 +23,9 @@ from helpers.captures import (
 
 
 def test_opens_as_filmed(dynerf):
-    """Cameras, frames and rate are those that were written, and every frame is the right one of the right camera."""
+    """Cameras, frames and rate are those that were written, and every frame is the right one of the
+    right camera.
+    """
     capture = open_capture(dynerf)
     assert (capture.layout, capture.scene, capture.camera_names) == ("dynerf", "room", NAMES)
     assert (capture.n_frames, capture.fps) == (N_FRAMES, FPS)
@@ -53,7 +55,10 @@ def test_frame_folders(tmp_path, pattern, first):
     capture = open_capture(tmp_path)
     assert (capture.camera_names, capture.n_frames, capture.fps) == (names, N_FRAMES, 30.0)
     for index, name in enumerate(names):
-        assert all(np.array_equal(image, make_image(index, t)) for t, image in enumerate(capture.frames(name)))
+        assert all(
+            np.array_equal(image, make_image(index, t))
+            for t, image in enumerate(capture.frames(name))
+        )
 
 
 def test_videos_come_before_folders(dynerf):
@@ -64,7 +69,9 @@ def test_videos_come_before_folders(dynerf):
 
 
 def test_focal_length_follows_the_size_of_the_frames(tmp_path):
-    """Poses made for images of twice the size give half the focal length and the centre of the smaller image."""
+    """Poses made for images of twice the size give half the focal length and the centre of the
+    smaller image.
+    """
     write_videos(tmp_path)
     write_poses(tmp_path, make_rig(width=2 * WIDTH, height=2 * HEIGHT))
     camera = open_capture(tmp_path).cameras[0]
@@ -74,18 +81,25 @@ def test_focal_length_follows_the_size_of_the_frames(tmp_path):
 
 @pytest.mark.parametrize(("drop", "count"), [(True, 3), (False, 4)])
 def test_coffee_martini_drops_cam13_by_name(tmp_path, drop, count):
-    """cam13 of coffee_martini, out of step, is left out unless asked for; the other cameras keep their rows."""
+    """cam13 of coffee_martini, out of step, is left out unless asked for; the other cameras keep
+    their rows.
+    """
     names = ("cam11", "cam12", "cam13", "cam14")
     capture = open_capture(write_dynerf(tmp_path / "coffee_martini", names), drop_unsynced=drop)
     assert len(capture.cameras) == count
     assert ("cam13" in capture.camera_names) is not drop
-    np.testing.assert_allclose(capture.camera("cam14").centre, make_rig(names)[3].centre, atol=1e-12)
+    np.testing.assert_allclose(
+        capture.camera("cam14").centre, make_rig(names)[3].centre, atol=1e-12
+    )
 
 
 def test_missing_video(dynerf):
     """A missing video shows as a row too many, with the cameras that are there."""
     (dynerf / "cam02.mp4").unlink()
-    assert "3 cameras on disk (cam00, cam01, cam03), got 4 rows; restore the missing cameras" in refusal(dynerf)
+    assert (
+        "3 cameras on disk (cam00, cam01, cam03), got 4 rows; restore the missing cameras"
+        in refusal(dynerf)
+    )
 
 
 def test_names_of_different_length(dynerf):
@@ -98,11 +112,20 @@ def test_names_of_different_length(dynerf):
     ("change", "message"),
     [
         (lambda rows: rows[:3], "got 3 rows; restore the missing rows"),
-        (lambda rows: rows[:, :15], r"wanted an N x 17 array of numbers (LLFF), got (4, 15) float64"),
+        (
+            lambda rows: rows[:, :15],
+            r"wanted an N x 17 array of numbers (LLFF), got (4, 15) float64",
+        ),
         (lambda rows: rows.ravel(), "got (68,) float64"),
-        (lambda rows: rows.astype(object), "Object arrays cannot be loaded when allow_pickle=False"),
+        (
+            lambda rows: rows.astype(object),
+            "Object arrays cannot be loaded when allow_pickle=False",
+        ),
         (lambda rows: rows.astype(str), "got (4, 17) <U32"),
-        (lambda rows: np.where(np.arange(4)[:, None] == 2, np.nan, rows), "got NaN or infinity in row 2 (from 0)"),
+        (
+            lambda rows: np.where(np.arange(4)[:, None] == 2, np.nan, rows),
+            "got NaN or infinity in row 2 (from 0)",
+        ),
         (lambda rows: rows * [1.0, 2.0, *[1.0] * 15], "the rotation must be orthonormal"),
         (lambda rows: rows[:, [*range(15), 16, 15]], "0 < near < far, got 8 .. 2"),
     ],

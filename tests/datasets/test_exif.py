@@ -1,4 +1,6 @@
-"""Pictures that a tag turns: one reader decides for captures, calibration and the programs that pictures are handed to."""
+"""Pictures that a tag turns: one reader decides for captures, calibration and the programs that
+pictures are handed to.
+"""
 
 import json
 from collections.abc import Callable
@@ -15,7 +17,15 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.pipelines.offline.calibration.calibrate import link_frames, write_instant
-from helpers.captures import HEIGHT, NAMES, WIDTH, make_rig, refusal, write_colmap_model, write_poses
+from helpers.captures import (
+    HEIGHT,
+    NAMES,
+    WIDTH,
+    make_rig,
+    refusal,
+    write_colmap_model,
+    write_poses,
+)
 from helpers.fuzz import CAPTURES
 from helpers.small_layouts import camera_toml, transforms
 
@@ -34,18 +44,25 @@ def save(path: Path, stored: Image8, orientation: int, ending: bytes = b"") -> N
     exif = Image.Exif()
     exif[ORIENTATION] = orientation
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(stored).save(path, exif=exif, **({} if path.suffix == ".png" else {"quality": 98, "subsampling": 0}))
+    Image.fromarray(stored).save(
+        path, exif=exif, **({} if path.suffix == ".png" else {"quality": 98, "subsampling": 0})
+    )
     path.write_bytes(path.read_bytes() + ending)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 @pytest.mark.parametrize("orientation", range(9))
 def test_all_orientations_are_turned_as_pillow_turns_them(orientation, suffix, tmp_path):
-    """The eight of the standard, and one that is none; the header promises the size that is read."""
+    """The eight of the standard, and one that is none; the header promises the size that is
+    read.
+    """
     file = tmp_path / f"a{suffix}"
     save(file, pattern(0), orientation)
     with Image.open(file) as opened:
-        stored, shown = np.asarray(opened.convert("RGB")), np.asarray(ImageOps.exif_transpose(opened).convert("RGB"))
+        stored, shown = (
+            np.asarray(opened.convert("RGB")),
+            np.asarray(ImageOps.exif_transpose(opened).convert("RGB")),
+        )
 
     assert np.abs(read_image(file).astype(int) - shown).max() <= 2  # two decoders of JPEG
     assert np.abs(read_image(file, as_stored=True).astype(int) - stored).max() <= 2
@@ -60,7 +77,11 @@ def test_a_damaged_tag_turns_nothing(tmp_path):
     at = content.index(b"Exif\0\0") + 6
     (tmp_path / "a.jpg").write_bytes(content[:at] + b"XX" + content[at + 2 :])
 
-    assert read_picture_header(tmp_path / "a.jpg").size == (WIDTH, HEIGHT) == read_image(tmp_path / "a.jpg").shape[1::-1]
+    assert (
+        read_picture_header(tmp_path / "a.jpg").size
+        == (WIDTH, HEIGHT)
+        == read_image(tmp_path / "a.jpg").shape[1::-1]
+    )
 
 
 def colmap_rig(folder: Path) -> str:
@@ -69,7 +90,9 @@ def colmap_rig(folder: Path) -> str:
 
 
 def distorted_rig(folder: Path) -> str:
-    write_colmap_model(folder / "sparse" / "0", [f"{name}.jpg" for name in NAMES], "SIMPLE_RADIAL", "0")
+    write_colmap_model(
+        folder / "sparse" / "0", [f"{name}.jpg" for name in NAMES], "SIMPLE_RADIAL", "0"
+    )
     return "images/{}.jpg"
 
 
@@ -84,7 +107,9 @@ def dynerf_rig(folder: Path) -> str:
 
 
 def own_rig(folder: Path) -> str:
-    (folder / "capture.toml").write_text("".join(camera_toml(camera, f"{camera.name}.jpg") for camera in make_rig()))
+    (folder / "capture.toml").write_text(
+        "".join(camera_toml(camera, f"{camera.name}.jpg") for camera in make_rig())
+    )
     return "{}.jpg"
 
 
@@ -93,7 +118,9 @@ RIGS: dict[str, Callable[[Path], str]] = {
 }
 
 
-def write_rig(folder: Path, rig: str, orientation: int, stored: Callable[[Image8], Image8] = np.asarray) -> Path:
+def write_rig(
+    folder: Path, rig: str, orientation: int, stored: Callable[[Image8], Image8] = np.asarray
+) -> Path:
     folder.mkdir()
     place = RIGS[rig](folder)
     for index, name in enumerate(NAMES):
@@ -110,7 +137,9 @@ def test_a_calibration_of_stored_pixels_gets_stored_pixels(rig, orientation, tmp
         assert camera.size == (WIDTH, HEIGHT)
         assert camera.centre == pytest.approx(given.centre, abs=1e-7)
         assert np.abs(capture.frame(camera.name, 0).astype(int) - pattern(index)).mean() < 1.5
-    assert any(f"EXIF orientation {orientation} " in note and "stored" in note for note in capture.notes)
+    assert any(
+        f"EXIF orientation {orientation} " in note and "stored" in note for note in capture.notes
+    )
 
 
 @pytest.mark.parametrize("rig", RIGS)
@@ -127,7 +156,9 @@ def test_a_calibration_of_upright_pictures_gets_these(rig, tmp_path):
 
 @pytest.mark.parametrize(("rig", "orientation"), list(zip(RIGS, (2, 3, 4, 3, 2), strict=True)))
 def test_a_turn_that_no_size_shows_is_noted(rig, orientation, tmp_path):
-    """Whether the poses are those of the stored pixels only the pictures can tell: the note names EXIF and `check`."""
+    """Whether the poses are those of the stored pixels only the pictures can tell: the note names
+    EXIF and `check`.
+    """
     capture = open_capture(write_rig(tmp_path / "room", rig, orientation))
 
     note = next(note for note in capture.notes if "EXIF" in note)
@@ -139,14 +170,20 @@ def test_pictures_of_neither_shape_are_refused_with_the_tag(tmp_path):
     """Cropped pictures fit neither way."""
     folder = write_rig(tmp_path / "room", "colmap_rig", 6, lambda image: image[:, :40])
 
-    assert "frames of 48 x 40, turned as their EXIF orientation 6 says, have another shape" in refusal(folder)
+    assert (
+        "frames of 48 x 40, turned as their EXIF orientation 6 says, have another shape"
+        in refusal(folder)
+    )
 
 
 def test_stored_pixels_are_other_content(tmp_path):
     """Depth that was computed of upright pictures is not taken for that of stored ones."""
     save(tmp_path / "a.jpg", pattern(0), 6)
 
-    assert ImageFrames(tmp_path / "a.jpg").digest != ImageFrames(tmp_path / "a.jpg", as_stored=True).digest
+    assert (
+        ImageFrames(tmp_path / "a.jpg").digest
+        != ImageFrames(tmp_path / "a.jpg", as_stored=True).digest
+    )
 
 
 def test_rgbd_takes_pixels_as_they_are_stored(tmp_path):
@@ -165,16 +202,24 @@ def test_rgbd_takes_pixels_as_they_are_stored(tmp_path):
 
 @pytest.mark.parametrize("orientation", [1, 3, 6])
 def test_calibration_computes_on_the_pixels_that_are_read_later(orientation, tmp_path):
-    """COLMAP ignores the tag: what it gets is upright and without one, and so is what becomes the capture."""
+    """COLMAP ignores the tag: what it gets is upright and without one, and so is what becomes the
+    capture.
+    """
     stills = {name: ImageFrames(tmp_path / "in" / f"{name}.jpg") for name in NAMES}
     for index, still in enumerate(stills.values()):
         save(still.path, pattern(index), orientation)
 
     images = write_instant(stills, 0, tmp_path / "work")
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    handed = {name: cv2.imread(str(tmp_path / "work" / image), flags) for name, image in images.items()}
+    handed = {
+        name: cv2.imread(str(tmp_path / "work" / image), flags) for name, image in images.items()
+    }
     (tmp_path / "rig").mkdir()
-    link_frames(stills, {name: tmp_path / "work" / image for name, image in images.items()}, tmp_path / "rig")
+    link_frames(
+        stills,
+        {name: tmp_path / "work" / image for name, image in images.items()},
+        tmp_path / "rig",
+    )
 
     for name, still in stills.items():
         shown = next(still.frames(0, 1))

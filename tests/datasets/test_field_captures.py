@@ -1,4 +1,6 @@
-"""Captures as people bring them: names, suffixes, texts and rates of phones, drives, operating systems and other programs."""
+"""Captures as people bring them: names, suffixes, texts and rates of phones, drives, operating
+systems and other programs.
+"""
 
 import codecs
 import json
@@ -58,10 +60,21 @@ def assert_rig(folder: Path, names: tuple[str, ...] = NAMES, n_frames: int | Non
     [
         (("10.50", "10.75", "11.00", "11.25"), (0, 1, 2, 3)),
         (("9", "9.5", "10", "10.5"), (0, 1, 2, 3)),
-        (("1305031102.175304", "1305031102.211214", "1305031102.243211", "1305031102.275326"), (0, 1, 2, 3)),
+        (
+            ("1305031102.175304", "1305031102.211214", "1305031102.243211", "1305031102.275326"),
+            (0, 1, 2, 3),
+        ),
         (("cam01.0009", "cam01.0010", "cam01.0011", "cam01.0012"), (0, 1, 2, 3)),
         (("cam01.9", "cam01.10", "cam01.11", "cam01.12"), (0, 1, 2, 3)),
-        (("315975689237425436", "315975689270758769", "315975689304092102", "315975689337425435"), (0, 1, 2, 3)),
+        (
+            (
+                "315975689237425436",
+                "315975689270758769",
+                "315975689304092102",
+                "315975689337425435",
+            ),
+            (0, 1, 2, 3),
+        ),
         (("2.mask", "10.mask", "18.mask", "26.mask"), (0, 1, 2, 3)),
     ],
 )
@@ -98,7 +111,9 @@ def test_numbers_that_tell_no_order_are_refused_by_name(stems, message, tmp_path
 
 
 def add_junk(folder: Path) -> None:
-    """What macOS, Windows, Jupyter and a network drive leave in every folder, named like what lies there."""
+    """What macOS, Windows, Jupyter and a network drive leave in every folder, named like what lies
+    there.
+    """
     for place in [folder, *(each for each in folder.rglob("*") if each.is_dir())]:
         for file in [each for each in place.iterdir() if each.is_file()]:
             (place / f"._{file.name}").write_bytes(APPLE)
@@ -119,7 +134,11 @@ def test_junk_is_nobody_s_frame(layout, tmp_path):
 
     capture = open_capture(tmp_path / "room" if clean.path.is_dir() else clean.path)
 
-    assert (capture.layout, capture.camera_names, capture.n_frames) == (clean.layout, clean.camera_names, clean.n_frames)
+    assert (capture.layout, capture.camera_names, capture.n_frames) == (
+        clean.layout,
+        clean.camera_names,
+        clean.n_frames,
+    )
     assert capture.notes == clean.notes
     for name, image in first.items():
         np.testing.assert_array_equal(capture.frame(name, 0), image)
@@ -134,7 +153,9 @@ def to_avi(folder: Path) -> None:
 
 
 def one_each(folder: Path) -> None:
-    for video, suffix in zip(sorted(folder.rglob("*.mp4")), (".MP4", ".mov", ".MOV", ".m4v"), strict=True):
+    for video, suffix in zip(
+        sorted(folder.rglob("*.mp4")), (".MP4", ".mov", ".MOV", ".m4v"), strict=True
+    ):
         video.rename(video.with_suffix(suffix))
 
 
@@ -153,20 +174,32 @@ def posed(write: Callable[[Path], None]) -> Callable[[Path], Path]:
 def write_plain_anipose(folder: Path) -> None:
     """The rig without distortion."""
     file = write_anipose(folder / "Calib.toml", make_rig())
-    file.write_text("\n".join(line for line in file.read_text().splitlines() if not line.startswith("distortions")))
+    file.write_text(
+        "\n".join(
+            line for line in file.read_text().splitlines() if not line.startswith("distortions")
+        )
+    )
 
 
 RIGS = {
     "dynerf": write_dynerf,
     "anipose": posed(write_plain_anipose),
-    "colmap": posed(lambda folder: write_colmap_model(folder / "sparse" / "0", [f"{name}.png" for name in NAMES])),
-    "nerfstudio": posed(lambda folder: (folder / "transforms.json").write_text(json.dumps(transforms()))),
+    "colmap": posed(
+        lambda folder: write_colmap_model(
+            folder / "sparse" / "0", [f"{name}.png" for name in NAMES]
+        )
+    ),
+    "nerfstudio": posed(
+        lambda folder: (folder / "transforms.json").write_text(json.dumps(transforms()))
+    ),
 }
 
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_videos_are_found_under_any_suffix(rig, tmp_path):
-    """What one layout reads every layout reads, in any case; so do the commands that know nothing of the cameras."""
+    """What one layout reads every layout reads, in any case; so do the commands that know nothing
+    of the cameras.
+    """
     folder = RIGS[rig](tmp_path / "room")
     one_each(folder)
 
@@ -244,12 +277,16 @@ NAMED = {
 
 @pytest.mark.parametrize("case", NAMED)
 def test_cameras_are_called_by_what_tells_them_apart(case, tmp_path):
-    """The folder where pictures are called alike, else the picture; for every calibration that names pictures."""
+    """The folder where pictures are called alike, else the picture; for every calibration that
+    names pictures.
+    """
     assert_rig(NAMED[case](tmp_path / "room"))
     assert tuple(read_known(tmp_path / "room")) == NAMES
 
 
-@pytest.mark.parametrize("names", [("A-DJI plan (0)", "A-DJI plan (1)", "B  two blanks"), ("x", "x y", "x y z")])
+@pytest.mark.parametrize(
+    "names", [("A-DJI plan (0)", "A-DJI plan (1)", "B  two blanks"), ("x", "x y", "x y z")]
+)
 def test_blanks_in_colmap_s_names(names, tmp_path):
     """The rest of the line of images.txt is the name, as a binary model has it."""
     write_colmap_model(tmp_path / "sparse" / "0", [f"{name}.png" for name in names])
@@ -290,16 +327,23 @@ TEXTS: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
     "easymocap": (write_easymocap, ("intri.yml", "extri.yml")),
     "opencv": (opencv_rig, tuple(f"{name}.yml" for name in NAMES)),
     "qualisys": (qualisys_rig, ("Calib.qca.txt",)),
-    "colmap": (write_colmap, tuple(f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D"))),
+    "colmap": (
+        write_colmap,
+        tuple(f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")),
+    ),
     "technicolor": (CAPTURES["technicolor"], ("cameras_parameters.txt",)),
     "rgbd": (CAPTURES["rgbd"], ("intrinsic/intrinsic_color.txt",)),
 }
 
 
-@pytest.mark.parametrize("change", [remarked(codecs.BOM_UTF8, "utf-8"), remarked(codecs.BOM_UTF16_LE, "utf-16-le")])
+@pytest.mark.parametrize(
+    "change", [remarked(codecs.BOM_UTF8, "utf-8"), remarked(codecs.BOM_UTF16_LE, "utf-16-le")]
+)
 @pytest.mark.parametrize("case", TEXTS)
 def test_texts_of_windows_are_read(case, change, tmp_path):
-    """With a byte order mark of UTF-8 or UTF-16 and lines of Windows the same cameras come out, to the last bit."""
+    """With a byte order mark of UTF-8 or UTF-16 and lines of Windows the same cameras come out, to
+    the last bit.
+    """
     write, files = TEXTS[case]
     folder = write(tmp_path / "room")
     clean = open_capture(folder)
@@ -316,15 +360,29 @@ def test_texts_of_windows_are_read(case, change, tmp_path):
 
 @pytest.mark.parametrize(("on_disk", "in_file"), [("NFD", "NFC"), ("NFC", "NFD")])
 def test_umlauts_are_compared_as_one_character(on_disk, in_file, tmp_path):
-    """Files that came through macOS: cameras are called as the calibration spells them, and files as the disk does."""
+    """Files that came through macOS: cameras are called as the calibration spells them, and files
+    as the disk does.
+    """
     names = tuple(f"Kamera_für_{index}" for index in range(4))
     tmp_path.joinpath("room").mkdir()
     write_videos(tmp_path / "room", [unicodedata.normalize(on_disk, name) for name in names])
     spelled = tuple(unicodedata.normalize(in_file, name) for name in names)
-    cameras = [Camera(name, *(getattr(c, key) for key in ("K", "world_to_camera", "width", "height", "near", "far")))
-               for name, c in zip(spelled, make_rig(names), strict=True)]  # fmt: skip
+    cameras = [
+        Camera(
+            name,
+            *(
+                getattr(c, key)
+                for key in ("K", "world_to_camera", "width", "height", "near", "far")
+            ),
+        )
+        for name, c in zip(spelled, make_rig(names), strict=True)
+    ]
     file = write_anipose(tmp_path / "room" / "Calib.toml", cameras)
-    file.write_text("\n".join(line for line in file.read_text().splitlines() if not line.startswith("distortions")))
+    file.write_text(
+        "\n".join(
+            line for line in file.read_text().splitlines() if not line.startswith("distortions")
+        )
+    )
 
     assert_rig(tmp_path / "room", spelled)
     sizes = {name: frames.size for name, frames in find_rig_frames(tmp_path / "room").items()}
@@ -334,10 +392,18 @@ def test_umlauts_are_compared_as_one_character(on_disk, in_file, tmp_path):
 @pytest.mark.parametrize(
     ("write", "file", "wanted"),
     [
-        (write_colmap, "sparse/0/cameras.txt", "cameras.txt, line 2: no number in '57,6', which has a decimal comma: write 57.6"),
+        (
+            write_colmap,
+            "sparse/0/cameras.txt",
+            "cameras.txt, line 2: no number in '57,6', which has a decimal comma: write 57.6",
+        ),
         (write_colmap, "sparse/0/points3D.txt", "points3D.txt, line 1: no number in '"),
         (CAPTURES["technicolor"], "cameras_parameters.txt", "cameras_parameters.txt: wanted f cu"),
-        (CAPTURES["rgbd"], "intrinsic/intrinsic_color.txt", "intrinsic_color.txt: wanted a text file of numbers, got: line 1"),
+        (
+            CAPTURES["rgbd"],
+            "intrinsic/intrinsic_color.txt",
+            "intrinsic_color.txt: wanted a text file of numbers, got: line 1",
+        ),
         (qualisys_rig, "Calib.qca.txt", "which has a decimal comma: write"),
     ],
 )
@@ -345,7 +411,11 @@ def test_decimal_commas_are_named(write, file, wanted, tmp_path):
     """File, line and word, and what to write instead."""
     folder = write(tmp_path / "room")
     text = (folder / file).read_text()
-    at = next(place for place in range(1, len(text) - 1) if text[place] == "." and (text[place - 1] + text[place + 1]).isdigit())
+    at = next(
+        place
+        for place in range(1, len(text) - 1)
+        if text[place] == "." and (text[place - 1] + text[place + 1]).isdigit()
+    )
     (folder / file).write_text(text[:at] + "," + text[at + 1 :])
     if file.endswith("qca.txt"):
         (folder / file).write_text(text.replace('r11="0.', 'r11="0,').replace('r11="1.', 'r11="1,'))
@@ -364,19 +434,30 @@ def phones(folder: Path, steps: Callable[[int, int], float], n_frames: int = 20)
     write_poses(folder, make_rig())
     for index, name in enumerate(NAMES):
         ticks = [round(20 * frame + steps(index, frame)) for frame in range(n_frames)]
-        write_timed_video(folder / f"{name}.mp4", [make_image(index, frame % 10) for frame in range(n_frames)], ticks)
+        write_timed_video(
+            folder / f"{name}.mp4",
+            [make_image(index, frame % 10) for frame in range(n_frames)],
+            ticks,
+        )
     return folder
 
 
 def jitter(index: int, frame: int) -> int:
     """Two 600ths here and there, and a tenth of a frame more or less at the end."""
-    return int(np.random.default_rng([index, frame]).integers(-1, 2)) + (2 * index - 3) * (frame == 19)
+    return int(np.random.default_rng([index, frame]).integers(-1, 2)) + (2 * index - 3) * (
+        frame == 19
+    )
 
 
 def test_phones_of_one_rate_are_one_rig(tmp_path):
-    """Averages of variable rates differ; frames of one number lie within half a step, and the note says how far apart."""
+    """Averages of variable rates differ; frames of one number lie within half a step, and the note
+    says how far apart.
+    """
     folder = phones(tmp_path / "room", jitter)
-    lens = "\n".join(f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]" for n in NAMES)
+    lens = "\n".join(
+        f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]"
+        for n in NAMES
+    )
     (tmp_path / "lens.toml").write_text(lens)
 
     capture = open_capture(folder)
@@ -405,6 +486,10 @@ def test_two_constant_rates_stay_two(tmp_path):
     """29.97 and 30 frames per second are no jitter, however few frames there are."""
     write_poses(tmp_path, make_rig())
     for index, name in enumerate(NAMES):
-        write_video(tmp_path / f"{name}.mp4", (make_image(index, t) for t in range(4)), 30 if index else 30000 / 1001)
+        write_video(
+            tmp_path / f"{name}.mp4",
+            (make_image(index, t) for t in range(4)),
+            30 if index else 30000 / 1001,
+        )
 
     assert "wanted one frame rate for all cameras, got cam00 29.97, cam01 30" in refusal(tmp_path)

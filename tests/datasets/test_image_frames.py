@@ -20,16 +20,30 @@ from helpers.captures import (
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda folder: (folder / "0002.png").unlink(), "4 images with gaps between 1 and 3; restore the frames"),
-        (lambda folder: shutil.copy(folder / "0002.png", folder / "0002.jpg"), "got several with the number 2"),
-        (lambda folder: write_image(folder / "0003.png", make_image(0, 0, 32, 24)), "0003.png: wanted 64 x 48 like the"),
-        (lambda folder: (folder / "0003.png").write_bytes(b"no image"), "0003.png: wanted an image, got 8 bytes"),
+        (
+            lambda folder: (folder / "0002.png").unlink(),
+            "4 images with gaps between 1 and 3; restore the frames",
+        ),
+        (
+            lambda folder: shutil.copy(folder / "0002.png", folder / "0002.jpg"),
+            "got several with the number 2",
+        ),
+        (
+            lambda folder: write_image(folder / "0003.png", make_image(0, 0, 32, 24)),
+            "0003.png: wanted 64 x 48 like the",
+        ),
+        (
+            lambda folder: (folder / "0003.png").write_bytes(b"no image"),
+            "0003.png: wanted an image, got 8 bytes",
+        ),
         (lambda folder: [file.unlink() for file in folder.iterdir()], "got 4 rows"),
     ],
     ids=["gap", "two of one number", "size", "no image", "empty"],
 )
 def test_folder_that_cannot_be_read(tmp_path, change, message):
-    """Gaps, doubles, odd sizes, damaged images and empty folders are refused, naming the file or folder."""
+    """Gaps, doubles, odd sizes, damaged images and empty folders are refused, naming the file or
+    folder.
+    """
     write_folders(tmp_path)
     write_poses(tmp_path, make_rig())
     change(tmp_path / "cam01" / "images")
@@ -46,7 +60,11 @@ def test_digest_follows_the_content(tmp_path):
     assert ImageFrames(tmp_path / "b" / "cam00" / "images").digest != digest
 
 
-@pytest.mark.parametrize("around", ["{}", "2024_{}", "{}_64x48", "take3_{}_64x48"], ids=["alone", "before", "after", "both"])
+@pytest.mark.parametrize(
+    "around",
+    ["{}", "2024_{}", "{}_64x48", "take3_{}_64x48"],
+    ids=["alone", "before", "after", "both"],
+)
 @pytest.mark.parametrize(
     "numbers",
     [
@@ -58,15 +76,22 @@ def test_digest_follows_the_content(tmp_path):
     ids=["count", "even clock", "clock", "half seconds"],
 )
 def test_numbers_that_vary_order_the_frames(tmp_path, numbers, around):
-    """A number that all names share says nothing; several that vary are read from left to right, as a clock is."""
+    """A number that all names share says nothing; several that vary are read from left to right, as
+    a clock is.
+    """
     for number in reversed(numbers):
         write_image(tmp_path / f"{around.format(number)}.png", make_image(0, 0))
-    assert [file.stem for file in ImageFrames(tmp_path).files] == [around.format(number) for number in numbers]
+    assert [file.stem for file in ImageFrames(tmp_path).files] == [
+        around.format(number) for number in numbers
+    ]
 
 
 def test_pictures_that_share_their_numbers(tmp_path):
     """They are all named, and nothing is said of leaving any of them out."""
     for name in ("left_7", "right_7"):
         write_image(tmp_path / f"{name}.png", make_image(0, 0))
-    with pytest.raises(CaptureError, match=r"several with the number 7 \(left_7.png and right_7.png\); give each a number"):
+    with pytest.raises(
+        CaptureError,
+        match=r"several with the number 7 \(left_7.png and right_7.png\); give each a number",
+    ):
         _ = ImageFrames(tmp_path).files

@@ -1,4 +1,6 @@
-"""Google Immersive: cameras and lenses as the data set's README defines them, frames without fisheye, damage in one line."""
+"""Google Immersive: cameras and lenses as the data set's README defines them, frames without
+fisheye, damage in one line.
+"""
 
 import re
 from collections.abc import Callable
@@ -38,11 +40,16 @@ def scene(flames, tmp_path) -> Path:
 
 def models_of(names=PAIR) -> list:
     """The content of models.json."""
-    return [immersive_model(camera, f"camera_{index + 1:04d}") for index, camera in enumerate(make_rig(names))]
+    return [
+        immersive_model(camera, f"camera_{index + 1:04d}")
+        for index, camera in enumerate(make_rig(names))
+    ]
 
 
 def test_projects_as_the_readme_says(tmp_path):
-    """The README's camera sees the world point (0.5, 0.5, 10) at (1377.85525, 1017.61440) of its 2560 x 1920 fisheye image."""
+    """The README's camera sees the world point (0.5, 0.5, 10) at (1377.85525, 1017.61440) of its
+    2560 x 1920 fisheye image.
+    """
     write_models(tmp_path, [README_VIEW])
     write_image(tmp_path / "camera_0001" / "0.png", make_image(0, 0))
     capture = open_capture(tmp_path)
@@ -54,11 +61,20 @@ def test_projects_as_the_readme_says(tmp_path):
 
 
 def test_opens_videos_and_extracted_pictures(flames, scene):
-    """Cameras are called as in the file; the lens leaves the pinhole image its K; pictures do as well as videos."""
+    """Cameras are called as in the file; the lens leaves the pinhole image its K; pictures do as
+    well as videos.
+    """
     for path in (flames, with_pictures(scene)):
         capture = open_capture(path)
-        assert (capture.layout, capture.camera_names, capture.n_frames) == ("immersive", NAMES, N_INSTANTS)
-        assert (capture.units_per_metre, capture.units_origin) == (1.0, "assumed of its form, which is that of a metric data set")
+        assert (capture.layout, capture.camera_names, capture.n_frames) == (
+            "immersive",
+            NAMES,
+            N_INSTANTS,
+        )
+        assert (capture.units_per_metre, capture.units_origin) == (
+            1.0,
+            "assumed of its form, which is that of a metric data set",
+        )
         assert [colour[0] for colour in mean_colours(capture, "camera_0002")] == [0, 1]
         for camera, other in zip(capture.cameras, make_rig(PAIR), strict=True):
             np.testing.assert_allclose(camera.K, other.K)
@@ -71,34 +87,68 @@ def test_depth_range_is_the_scenes(flames, tmp_path):
     other = open_capture(copied(flames, tmp_path / "kitchen")).cameras[0]
     assert (other.near, other.far) != (1.0, 10.0)
     (tmp_path / "kitchen" / "depth_range.toml").write_text("near = 1.5\nfar = 4\n")
-    assert {(camera.near, camera.far) for camera in open_capture(tmp_path / "kitchen").cameras} == {(1.5, 4.0)}
+    assert {(camera.near, camera.far) for camera in open_capture(tmp_path / "kitchen").cameras} == {
+        (1.5, 4.0)
+    }
 
 
 def test_cameras_without_frames_are_left_out(scene):
-    """Some scenes lack cameras; what is left is read, and the note says which are absent. Without any it is no capture."""
+    """Some scenes lack cameras; what is left is read, and the note says which are absent. Without
+    any it is no capture.
+    """
     write_models(scene, [*models_of(), immersive_model(make_rig(PAIR)[1], "camera_0007")])
     capture = open_capture(scene)
     assert capture.camera_names == NAMES
     assert "camera_0007 left out: calibrated, but without frames" in capture.notes
 
     write_models(scene, [immersive_model(make_rig(PAIR)[1], "camera_0007")])
-    assert "wanted frames of camera_0007, got none, but there is CAM.mp4 (camera_0001, camera_0002)" in refusal(scene)
+    assert (
+        "wanted frames of camera_0007, got none, but there is CAM.mp4 (camera_0001, camera_0002)"
+        in refusal(scene)
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda models: models[0].update(projection_type="other"), "wanted 'fisheye' as projection_type of camera_0001"),
-        (lambda models: models[0].pop("projection_type"), "projection_type of camera_0001, got None; no other lens"),
-        (lambda models: models[1].update(radial_distortion=[0.1, 0.0, 0.2]), "0 as third radial_distortion of camera_0002"),
-        (lambda models: models[1].update(radial_distortion=[0.1]), "wanted 3 finite numbers as radial_distortion of camera_0002"),
-        (lambda models: models[1].update(radial_distortion=[9000.0, 9.0, 0.0]), "coefficients (9000.0, 9.0, 0.0, 0.0)"),
-        (lambda models: models[0].update(name="../camera_0001"), "wanted camera_XXXX as name of camera 0, got '../camera_0001'"),
-        (lambda models: models[0].update(focal_length=None), "a finite number as focal_length of camera 0, got None"),
-        (lambda models: models[0].update(focal_length=-3.0), "camera_0001: lens: K must be fx 0 cx"),
+        (
+            lambda models: models[0].update(projection_type="other"),
+            "wanted 'fisheye' as projection_type of camera_0001",
+        ),
+        (
+            lambda models: models[0].pop("projection_type"),
+            "projection_type of camera_0001, got None; no other lens",
+        ),
+        (
+            lambda models: models[1].update(radial_distortion=[0.1, 0.0, 0.2]),
+            "0 as third radial_distortion of camera_0002",
+        ),
+        (
+            lambda models: models[1].update(radial_distortion=[0.1]),
+            "wanted 3 finite numbers as radial_distortion of camera_0002",
+        ),
+        (
+            lambda models: models[1].update(radial_distortion=[9000.0, 9.0, 0.0]),
+            "coefficients (9000.0, 9.0, 0.0, 0.0)",
+        ),
+        (
+            lambda models: models[0].update(name="../camera_0001"),
+            "wanted camera_XXXX as name of camera 0, got '../camera_0001'",
+        ),
+        (
+            lambda models: models[0].update(focal_length=None),
+            "a finite number as focal_length of camera 0, got None",
+        ),
+        (
+            lambda models: models[0].update(focal_length=-3.0),
+            "camera_0001: lens: K must be fx 0 cx",
+        ),
         (lambda models: models[0].update(width=50.0), "camera_0001"),
         (lambda models: models.append("camera"), "camera 2, got 'camera' for the camera"),
-        (lambda models: models.append(models[0]), "cameras of different names, got several called camera_0001"),
+        (
+            lambda models: models.append(models[0]),
+            "cameras of different names, got several called camera_0001",
+        ),
         (lambda models: models.clear(), "wanted a list of cameras, got another structure"),
     ],
 )

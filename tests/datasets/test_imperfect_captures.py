@@ -1,4 +1,6 @@
-"""Captures as people have them: rounded poses, pictures on their side, uneven videos, frames elsewhere, absurd sizes."""
+"""Captures as people have them: rounded poses, pictures on their side, uneven videos, frames
+elsewhere, absurd sizes.
+"""
 
 import json
 import os
@@ -36,7 +38,13 @@ from helpers.captures import (
 )
 from helpers.fuzz import CAPTURES, IMPOSTORS, add_long_key, read_everything
 from helpers.refusals import refused
-from helpers.small_layouts import camera_toml, transforms, write_capture_toml, write_easymocap, write_nerfstudio
+from helpers.small_layouts import (
+    camera_toml,
+    transforms,
+    write_capture_toml,
+    write_easymocap,
+    write_nerfstudio,
+)
 
 ONE = 1 << 16  # of a display matrix
 TURNED = {  # EXIF orientation -> quarter turns against the clock by which such a picture is shown
@@ -72,7 +80,9 @@ def assert_rotations(capture: Capture) -> None:
 
 @pytest.mark.parametrize("amount", [2e-4, 9e-3])
 def test_rotations_that_are_off_by_little_are_straightened(amount, tmp_path):
-    """The nearest rotation takes their place and a note names the deviation; the camera stays where it stood."""
+    """The nearest rotation takes their place and a note names the deviation; the camera stays where
+    it stood.
+    """
     capture = open_capture(with_poses(tmp_path / "rig", lambda rotation: rotation + noise(amount)))
 
     assert_rotations(capture)
@@ -82,8 +92,11 @@ def test_rotations_that_are_off_by_little_are_straightened(amount, tmp_path):
     assert amount / 4 < largest <= amount
     for given, camera in zip(make_rig(), capture.cameras, strict=True):
         matrix = given.rotation + noise(amount)
-        assert camera.centre == pytest.approx(-np.linalg.solve(matrix, given.translation), abs=1e-12)
-        nearest = nearest_rotation(matrix)[0]  # the stationary point of the distance: R^T M is symmetric
+        assert camera.centre == pytest.approx(
+            -np.linalg.solve(matrix, given.translation), abs=1e-12
+        )
+        # the stationary point of the distance: R^T M is symmetric
+        nearest = nearest_rotation(matrix)[0]
         assert nearest.T @ matrix == pytest.approx((nearest.T @ matrix).T, abs=1e-12)
         assert camera.rotation == pytest.approx(nearest, abs=1e-14)
 
@@ -91,10 +104,16 @@ def test_rotations_that_are_off_by_little_are_straightened(amount, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rotation: rotation + noise(3e-2), "off the nearest rotation's, where 0.01 can be corrected"),
+        (
+            lambda rotation: rotation + noise(3e-2),
+            "off the nearest rotation's, where 0.01 can be corrected",
+        ),
         (lambda rotation: 2 * rotation, "where 0.01 can be corrected; scaled or rounded?"),
         (lambda rotation: 1e200 * rotation, "where 0.01 can be corrected"),
-        (lambda rotation: rotation * [1, 1, -1], "determinant +1, got determinant -1.0000; check axis order"),
+        (
+            lambda rotation: rotation * [1, 1, -1],
+            "determinant +1, got determinant -1.0000; check axis order",
+        ),
     ],
 )
 def test_what_is_no_rotation_is_refused(change, message, tmp_path):
@@ -103,7 +122,9 @@ def test_what_is_no_rotation_is_refused(change, message, tmp_path):
 
 
 def test_rotations_as_files_keep_them_stay_bit_by_bit():
-    """What is orthonormal to 1e-4 is not touched: results of captures that were read before stay the same."""
+    """What is orthonormal to 1e-4 is not touched: results of captures that were read before stay
+    the same.
+    """
     camera = make_rig()[0]
     pose = camera.world_to_camera.round(5)
 
@@ -147,10 +168,17 @@ def turned_video(path: Path, images: list[np.ndarray], matrix: tuple[int, ...]) 
 
 @pytest.mark.parametrize(
     ("orientation", "matrix"),
-    [(1, (ONE, 0, 0, ONE)), (6, (0, ONE, -ONE, 0)), (3, (-ONE, 0, 0, -ONE)), (8, (0, -ONE, ONE, 0))],
+    [
+        (1, (ONE, 0, 0, ONE)),
+        (6, (0, ONE, -ONE, 0)),
+        (3, (-ONE, 0, 0, -ONE)),
+        (8, (0, -ONE, ONE, 0)),
+    ],
 )
 def test_pictures_and_videos_are_turned_by_one_rule(orientation, matrix, tmp_path):
-    """EXIF in JPEG and PNG and a video's display matrix: the same picture comes out, in the size that its header promises."""
+    """EXIF in JPEG and PNG and a video's display matrix: the same picture comes out, in the size
+    that its header promises.
+    """
     upright = np.zeros((48, 64, 3), np.uint8)
     upright[:16], upright[:, :16] = (250, 40, 40), (40, 40, 250)
     stored = np.ascontiguousarray(np.rot90(upright, -TURNED[orientation]))
@@ -158,23 +186,38 @@ def test_pictures_and_videos_are_turned_by_one_rule(orientation, matrix, tmp_pat
     exif[0x0112] = orientation
     files = [tmp_path / "a.jpg", tmp_path / "a.png"]
     for file in files:
-        Image.fromarray(stored).save(file, exif=exif, **({"quality": 98, "subsampling": 0} if file.suffix == ".jpg" else {}))
+        Image.fromarray(stored).save(
+            file, exif=exif, **({"quality": 98, "subsampling": 0} if file.suffix == ".jpg" else {})
+        )
     turned_video(tmp_path / "a.mp4", [stored] * 2, matrix)
 
     video = VideoFrames(tmp_path / "a.mp4")
 
-    assert [read_picture_header(file).size for file in files] == [(64, 48), (64, 48)] == [video.size] * 2
+    assert (
+        [read_picture_header(file).size for file in files]
+        == [(64, 48), (64, 48)]
+        == [video.size] * 2
+    )
     for image in (*map(read_image, files), *video.frames(0, 2)):
         assert image.shape == upright.shape
         assert np.abs(image.astype(int) - upright).mean() < 6  # 4:2:0 blurs the edges of colour
 
 
 def test_a_turn_that_does_not_fit_the_calibration_is_refused(tmp_path):
-    """A picture that is shown upright in a rig that was calibrated on its side: the sizes say so."""
+    """A picture that is shown upright in a rig that was calibrated on its side: the sizes
+    say so.
+    """
     folder = write_capture_toml(tmp_path / "rig")
-    turned_video(folder / "videos" / "cam00.mp4", [make_image(0, frame) for frame in range(2)], (0, ONE, -ONE, 0))
+    turned_video(
+        folder / "videos" / "cam00.mp4",
+        [make_image(0, frame) for frame in range(2)],
+        (0, ONE, -ONE, 0),
+    )
 
-    assert "frames of 48 x 64 have another shape than the 64 x 48 that cam00 is calibrated for" in refusal(folder)
+    assert (
+        "frames of 48 x 64 have another shape than the 64 x 48 that cam00 is calibrated for"
+        in refusal(folder)
+    )
 
 
 def test_a_turn_by_any_other_angle_is_refused(tmp_path):
@@ -192,16 +235,21 @@ def test_a_variable_frame_rate_is_said(tmp_path):
 
     for index, name in enumerate(NAMES):
         images = [make_image(index, frame) for frame in range(N_FRAMES)]
-        write_timed_video(folder / f"{name}.mp4", images, (0, 24, 52, 98, 120) if index else (0, 30, 60, 90, 120))
+        write_timed_video(
+            folder / f"{name}.mp4", images, (0, 24, 52, 98, 120) if index else (0, 30, 60, 90, 120)
+        )
 
     assert (
-        "variable frame rate in cam01 (36.7 to 76.7 ms), cam02 (36.7 to 76.7 ms), cam03 (36.7 to 76.7 ms): "
-        "frame t of each camera counts as one instant, regardless of its time; their times differ by up to 13.3 ms"
+        "variable frame rate in cam01 (36.7 to 76.7 ms), cam02 (36.7 to 76.7 ms), cam03 (36.7 to "
+        "76.7 ms): frame t of each camera counts as one instant, regardless of its time; their "
+        "times differ by up to 13.3 ms"
     ) in open_capture(folder).notes
 
 
 def test_frames_that_are_no_rgb_are_said(tmp_path):
-    """Grey, palettes and 16 bits in folders, 10 bits in videos: by camera, and of how many frames."""
+    """Grey, palettes and 16 bits in folders, 10 bits in videos: by camera, and of how many
+    frames.
+    """
     folder = write_folders(tmp_path / "room")
     write_poses(folder, make_rig())
     grey, palette, deep = (folder / name / "images" / "0001.png" for name in NAMES[:3])
@@ -210,7 +258,8 @@ def test_frames_that_are_no_rgb_are_said(tmp_path):
     cv2.imwrite(str(deep), cv2.imread(str(deep)).astype(np.uint16) * 257)
 
     assert open_capture(folder).notes == (
-        f"frames of {NAMES[0]} (1 of {N_FRAMES}) are read grey, the same level in all three channels",
+        f"frames of {NAMES[0]} (1 of {N_FRAMES}) are read grey, the same level in all three "
+        f"channels",
         f"frames of {NAMES[1]} (1 of {N_FRAMES}) are read in the colours of a palette",
         f"frames of {NAMES[2]} (1 of {N_FRAMES}) are read cut from 16 to 8 bits",
     )
@@ -220,8 +269,14 @@ def test_frames_that_are_no_rgb_are_said(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp unsupported pictures: convert them"),
-        (lambda file: file.with_name("other0002.png"), "several with the number 2 (0002.png and other0002.png)"),
+        (
+            lambda file: file.with_suffix(".webp"),
+            "gaps between 0 and 2, and 1 .webp unsupported pictures: convert them",
+        ),
+        (
+            lambda file: file.with_name("other0002.png"),
+            "several with the number 2 (0002.png and other0002.png)",
+        ),
     ],
 )
 def test_frames_in_another_format_or_twice_are_named(change, message, tmp_path):
@@ -252,7 +307,10 @@ def write_hololens(folder: Path, depth: Callable[[int], np.ndarray]) -> Path:
     for index in range(2):
         write_image(folder / "images" / f"{index}.png", make_image(index, 0))
         cv2.imwrite(str(folder / "depth" / f"{index}.png"), depth(index).astype(np.uint16))
-    np.savetxt(folder / "poses.txt", np.stack([np.linalg.inv(camera.world_to_camera).ravel() for camera in rig]))
+    np.savetxt(
+        folder / "poses.txt",
+        np.stack([np.linalg.inv(camera.world_to_camera).ravel() for camera in rig]),
+    )
     np.savetxt(folder / "K.txt", rig[0].K)
     return folder
 
@@ -260,22 +318,37 @@ def write_hololens(folder: Path, depth: Callable[[int], np.ndarray]) -> Path:
 @pytest.mark.parametrize(
     ("depth", "message"),
     [
-        (lambda index: np.full((24, 24), 3000), "0.png: wanted depth of the shape of its 64 x 48 image, got 24 x 24"),
-        (lambda index: np.full((24, 32), 3000 * index), "0.png: wanted measured depth, got zeros alone; leave this frame out"),
-        (lambda index: np.full((24, 32 + 32 * index), 3000), "1.png: wanted 32 x 24 like the camera's other frames, got 64 x 24"),
+        (
+            lambda index: np.full((24, 24), 3000),
+            "0.png: wanted depth of the shape of its 64 x 48 image, got 24 x 24",
+        ),
+        (
+            lambda index: np.full((24, 32), 3000 * index),
+            "0.png: wanted measured depth, got zeros alone; leave this frame out",
+        ),
+        (
+            lambda index: np.full((24, 32 + 32 * index), 3000),
+            "1.png: wanted 32 x 24 like the camera's other frames, got 64 x 24",
+        ),
     ],
 )
 def test_depth_of_another_shape_or_of_nothing_is_refused(depth, message, tmp_path):
-    """Depth that is cropped or stretched against its picture, a map of zeros, maps of several sizes."""
+    """Depth that is cropped or stretched against its picture, a map of zeros, maps of several
+    sizes.
+    """
     assert message in refusal(write_hololens(tmp_path / "room", depth))
 
 
 def test_depth_of_another_shape_needs_intrinsics_that_fit_it(tmp_path):
-    """A wide colour camera beside a square sensor is fine; maps cropped after they were calibrated are not."""
+    """A wide colour camera beside a square sensor is fine; maps cropped after they were calibrated
+    are not.
+    """
     folder = CAPTURES["rgbd"](tmp_path / "room")
     for index in range(2):
         cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((30, 32), 3000, np.uint16))
-    assert "wanted a principal point near the middle of 32 x 30 images, got (16, 12)" in refusal(folder)
+    assert "wanted a principal point near the middle of 32 x 30 images, got (16, 12)" in refusal(
+        folder
+    )
 
     K = np.eye(4)
     K[:3, :3] = [[28.8, 0, 16], [0, 28.8, 15], [0, 0, 1]]
@@ -297,13 +370,18 @@ def test_frames_outside_the_capture_are_named_by_check(how, tmp_path):
     finding = check_capture(folder).of("frames")[0]
 
     assert finding.verdict == "warn"
-    assert f"frames of cam01 are outside the capture's folder, in {tmp_path / 'elsewhere'}" in finding.measured
+    assert (
+        f"frames of cam01 are outside the capture's folder, in {tmp_path / 'elsewhere'}"
+        in finding.measured
+    )
     assert list(finding.values["outside"]) == ["cam01"]
     assert check_capture(write_capture_toml(tmp_path / "whole")).of("frames")[0].verdict == "ok"
 
 
 def test_units_tell_what_is_known(tmp_path):
-    """Where metres are guessed, near and far stand as they were given and nothing is told in metres."""
+    """Where metres are guessed, near and far stand as they were given and nothing is told in
+    metres.
+    """
     file = write_capture_toml(tmp_path / "rig") / "capture.toml"
     text = file.read_text().replace("height = 48", "height = 48\nnear = 5.0\nfar = 14.0")
     for head, measured in (
@@ -316,13 +394,18 @@ def test_units_tell_what_is_known(tmp_path):
 
 def many_frames(folder: Path, count: int) -> Path:
     values = transforms()
-    values["frames"] = [{**values["frames"][0], "file_path": f"images/c{index}.png"} for index in range(count)]
+    values["frames"] = [
+        {**values["frames"][0], "file_path": f"images/c{index}.png"} for index in range(count)
+    ]
     return write_nerfstudio(folder, values)
 
 
 def many_rows(folder: Path, count: int) -> Path:
     write_dynerf(folder)
-    np.save(folder / "poses_bounds.npy", np.repeat(np.load(folder / "poses_bounds.npy")[:1], count, axis=0))
+    np.save(
+        folder / "poses_bounds.npy",
+        np.repeat(np.load(folder / "poses_bounds.npy")[:1], count, axis=0),
+    )
     return folder
 
 
@@ -349,7 +432,14 @@ def many_models(folder: Path, count: int) -> Path:
 
 
 @pytest.mark.parametrize(
-    "write", [many_frames, many_rows, pytest.param(many_poses, marks=pytest.mark.slow), many_names, many_models]
+    "write",
+    [
+        many_frames,
+        many_rows,
+        pytest.param(many_poses, marks=pytest.mark.slow),
+        many_names,
+        many_models,
+    ],
 )
 def test_a_rig_of_more_than_10_000_cameras_is_refused_at_once(write, tmp_path):
     """Before poses are read, and before anything of every pair of cameras is held in memory."""
@@ -386,7 +476,9 @@ HEADERS = {
 @pytest.mark.parametrize("impostor", [name for name in IMPOSTORS if name != "nothing"])
 @pytest.mark.parametrize("layout", HEADERS)
 def test_impostors_are_refused_at_once(layout, impostor, tmp_path):
-    """A pipe, a device, an endless file, a folder or a link that leads nowhere in the place of a file of any layout."""
+    """A pipe, a device, an endless file, a folder or a link that leads nowhere in the place of a
+    file of any layout.
+    """
     folder = CAPTURES[layout](tmp_path / "room")
     (folder / HEADERS[layout]).unlink()
     IMPOSTORS[impostor](folder / HEADERS[layout])
@@ -398,7 +490,12 @@ def test_impostors_are_refused_at_once(layout, impostor, tmp_path):
 
 @pytest.mark.parametrize(
     ("layout", "file"),
-    [("capture.toml", "capture.toml"), ("enerf-outdoor", "extri.yml"), ("nerfstudio", "transforms.json"), ("rgbd", "pose/0.txt")],
+    [
+        ("capture.toml", "capture.toml"),
+        ("enerf-outdoor", "extri.yml"),
+        ("nerfstudio", "transforms.json"),
+        ("rgbd", "pose/0.txt"),
+    ],
 )
 def test_keys_of_60_kb_are_read_or_refused_at_once(layout, file, tmp_path):
     """Nobody looks for likely names, and no message repeats them."""

@@ -1,4 +1,6 @@
-"""One index shows one instant in all cameras: by tables of times, numbers and times of pictures, and times of videos."""
+"""One index shows one instant in all cameras: by tables of times, numbers and times of pictures,
+and times of videos.
+"""
 
 import json
 import subprocess
@@ -13,7 +15,15 @@ from ggvs_eval.datasets.instants import align_instants, read_times, write_pairin
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.time_tables import read_rows, times_in
 from ggvs_eval.files.video import write_video
-from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, refusal, write_poses, write_timed_video
+from helpers.captures import (
+    N_FRAMES,
+    NAMES,
+    make_image,
+    make_rig,
+    refusal,
+    write_poses,
+    write_timed_video,
+)
 
 
 def numbered(folder, first):
@@ -21,31 +31,35 @@ def numbered(folder, first):
     write_poses(folder, make_rig())
     for index, name in enumerate(NAMES):
         for number in range(first(index), first(index) + N_FRAMES):
-            write_image(folder / "frames" / name / f"{number:04d}.png", make_image(index, number % 10))
+            write_image(
+                folder / "frames" / name / f"{number:04d}.png", make_image(index, number % 10)
+            )
     return folder
 
 
 def instants(folder, times_s, stem):
-    """A rig whose camera i has frames at times_s[i]; the mark of a frame is the second that is nearest."""
+    """A rig whose camera i has frames at times_s[i]; the mark of a frame is the second that is
+    nearest.
+    """
     write_poses(folder, make_rig())
     for index, name in enumerate(NAMES):
         for time_s in times_s[index]:
-            write_image(folder / "frames" / name / f"{stem(time_s)}.png", make_image(index, round(time_s)))
+            write_image(
+                folder / "frames" / name / f"{stem(time_s)}.png", make_image(index, round(time_s))
+            )
     return folder
 
 
 def clock(time_s):
     """Ten seconds before eleven o'clock, and what follows."""
     minutes, milliseconds = divmod(round(1000 * (time_s + 50)), 60_000)
-    return (
-        f"2026-05-01_{10 + (59 + minutes) // 60}-{(59 + minutes) % 60:02d}-{milliseconds // 1000:02d}-{milliseconds % 1000:03d}"
-    )
+    return f"2026-05-01_{10 + (59 + minutes) // 60}-{(59 + minutes) % 60:02d}-{milliseconds // 1000:02d}-{milliseconds % 1000:03d}"  # noqa: E501
 
 
 def night(time_s):
     """Two seconds before midnight, and what follows; without a date."""
     minutes, milliseconds = divmod(round(1000 * (time_s + 86_398)) % 86_400_000, 60_000)
-    return f"{minutes // 60:02d}-{minutes % 60:02d}-{milliseconds // 1000:02d}-{milliseconds % 1000:03d}"
+    return f"{minutes // 60:02d}-{minutes % 60:02d}-{milliseconds // 1000:02d}-{milliseconds % 1000:03d}"  # noqa: E501
 
 
 def assert_in_step(capture, seconds):
@@ -55,29 +69,45 @@ def assert_in_step(capture, seconds):
         assert marks == [30 + 20 * second for second in seconds], name
 
 
-# Cameras of one clock that are not triggered together: the second begins later, the third lost the fifth second.
-FREE = [(0.0, 1.0, 2.0, 3.0, 4.0, 5.0), (2.1, 2.9, 4.1, 5.2), (0.3, 1.3, 2.3, 3.3, 5.3), (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)]
+# Cameras of one clock that are not triggered together: the second begins later, the third lost the
+# fifth second.
+FREE = [
+    (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
+    (2.1, 2.9, 4.1, 5.2),
+    (0.3, 1.3, 2.3, 3.3, 5.3),
+    (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
+]
 
 
 @pytest.mark.parametrize(
     "stem",
-    [clock, night, lambda time_s: f"{1.7e9 + time_s:.6f}", lambda time_s: f"{10**18 + round(1e9 * time_s)}"],
+    [
+        clock,
+        night,
+        lambda time_s: f"{1.7e9 + time_s:.6f}",
+        lambda time_s: f"{10**18 + round(1e9 * time_s)}",
+    ],
     ids=["clock", "over midnight", "s", "ns"],
 )
 def test_times_in_names_align_cameras(tmp_path, stem):
-    """The nearest frames are one instant, at the rate of the times; those without a partner are left out and counted."""
+    """The nearest frames are one instant, at the rate of the times; those without a partner are
+    left out and counted.
+    """
     capture = open_capture(instants(tmp_path / "room", FREE, stem))
     assert capture.fps == pytest.approx(1, abs=0.02)
     assert_in_step(capture, [2, 3, 5])
     note = (
-        "3 instants that all cameras have are taken, by the times in the names of pictures; left out: cam00 3 of 6, cam01 1 of 4"
+        "3 instants that all cameras have are taken, by the times in the names of pictures; "
+        "left out: cam00 3 of 6, cam01 1 of 4"
     )
     assert any(line.startswith(note) for line in capture.notes)
     assert "time jumps after frame 1, by the times in the names of pictures" in capture.notes
 
 
 def test_times_without_a_common_instant_are_refused(tmp_path):
-    """With the range of each; cameras that begin together open once they are numbered from one frame on, as the message says."""
+    """With the range of each; cameras that begin together open once they are numbered from one
+    frame on, as the message says.
+    """
     times_s = [(0.0, 1.0, 2.0)] * 3 + [(7.0, 8.0, 9.0)]
     message = refusal(instants(tmp_path / "room", times_s, clock))
     assert "wanted cameras with a common instant, by the times in the names of pictures" in message
@@ -88,9 +118,14 @@ def test_times_without_a_common_instant_are_refused(tmp_path):
     assert open_capture(tmp_path / "room").n_frames == 3
 
 
-LONG = "\n".join(f"{index},{frame},{100 + time_s:.4f}" for index, times in enumerate(FREE) for frame, time_s in enumerate(times))
+LONG = "\n".join(
+    f"{index},{frame},{100 + time_s:.4f}"
+    for index, times in enumerate(FREE)
+    for frame, time_s in enumerate(times)
+)
 WIDE = "\n".join(
-    ",".join(f"{times[frame]:.4f}" if frame < len(times) else "" for times in FREE) for frame in range(max(map(len, FREE)))
+    ",".join(f"{times[frame]:.4f}" if frame < len(times) else "" for times in FREE)
+    for frame in range(max(map(len, FREE)))
 )
 
 
@@ -98,16 +133,30 @@ WIDE = "\n".join(
     "tables",
     [
         {"timestamps.csv": f"cam_id,frame_index,frame_time\n{LONG}"},
-        {"timestamps.txt": "\n".join(f"{NAMES[int(line[0])]} {line[4:]}" for line in LONG.splitlines())},
+        {
+            "timestamps.txt": "\n".join(
+                f"{NAMES[int(line[0])]} {line[4:]}" for line in LONG.splitlines()
+            )
+        },
         {"sync/times.txt": f"# {','.join(NAMES)}\n{WIDE}"},
         {"sync.json": json.dumps(dict(zip(NAMES, FREE, strict=True)))},
-        {"stamps.json": json.dumps([{"camera": NAMES[int(line[0])], "pts": float(line[4:])} for line in LONG.splitlines()])},
         {
-            f"times/{name}.txt": "\n".join(f"{row} {time_s:.4f}" for row, time_s in enumerate(FREE[index]))
+            "stamps.json": json.dumps(
+                [
+                    {"camera": NAMES[int(line[0])], "pts": float(line[4:])}
+                    for line in LONG.splitlines()
+                ]
+            )
+        },
+        {
+            f"times/{name}.txt": "\n".join(
+                f"{row} {time_s:.4f}" for row, time_s in enumerate(FREE[index])
+            )
             for index, name in enumerate(NAMES)
         },
         {
-            f"frames/{name}/stamps.csv": "t,stamp\n" + "\n".join(f"0,{clock(time_s)}" for time_s in FREE[index])
+            f"frames/{name}/stamps.csv": "t,stamp\n"
+            + "\n".join(f"0,{clock(time_s)}" for time_s in FREE[index])
             for index, name in enumerate(NAMES)
         },
     ],
@@ -122,12 +171,16 @@ WIDE = "\n".join(
     ],
 )
 def test_tables_of_times_align_cameras(tmp_path, tables):
-    """Their frames are numbered in each camera for itself; a table that has another number of them is named, and not used."""
+    """Their frames are numbered in each camera for itself; a table that has another number of them
+    is named, and not used.
+    """
     folder = tmp_path / "room"
     write_poses(folder, make_rig())
     for index, name in enumerate(NAMES):
         for number, time_s in enumerate(FREE[index]):
-            write_image(folder / "frames" / name / f"{number:04d}.png", make_image(index, round(time_s)))
+            write_image(
+                folder / "frames" / name / f"{number:04d}.png", make_image(index, round(time_s))
+            )
     assert "wanted one frame count" in refusal(folder)
     for file, text in tables.items():
         (folder / file).parent.mkdir(exist_ok=True, parents=True)
@@ -137,7 +190,9 @@ def test_tables_of_times_align_cameras(tmp_path, tables):
     assert any(f"by the times in {next(iter(tables))}" in note for note in capture.notes)
     assert not any("not used" in note for note in capture.notes)
     (note,) = read_times(folder, sources(5)).notes
-    assert note.endswith("are not used: cam00 6 of 5 frames, cam01 4 of 5 frames, cam03 6 of 5 frames")
+    assert note.endswith(
+        "are not used: cam00 6 of 5 frames, cam01 4 of 5 frames, cam03 6 of 5 frames"
+    )
 
 
 @pytest.mark.parametrize(
@@ -160,7 +215,9 @@ def test_tables_without_times_say_nothing(tmp_path, tables):
 def test_times_in_arrays(tmp_path):
     """One per frame, or with the frames' numbers, whichever way the array lies."""
     times_s = np.array([0.0, 0.1, 0.3])
-    for index, values in enumerate((times_s, np.stack([[1, 2, 3], times_s]), np.stack([[1, 2, 3], times_s], axis=1))):
+    for index, values in enumerate(
+        (times_s, np.stack([[1, 2, 3], times_s]), np.stack([[1, 2, 3], times_s], axis=1))
+    ):
         np.save(tmp_path / f"{index}.npy", values)
         assert times_in(read_rows(tmp_path / f"{index}.npy")).tolist() == times_s.tolist()
 
@@ -172,7 +229,9 @@ def test_masks_and_depth_stay_with_their_frames(tmp_path):
     files = {name: source.source for name, source in zip(NAMES, sources, strict=True)}
     aligned = align_instants(folder, files, [Extras(mask=source) for source in files.values()])
     for source, extras in zip(aligned.sources.values(), aligned.extras, strict=True):
-        assert np.array_equal(np.stack([*source.frames(0, 3)]), np.stack([*extras.mask.frames(0, 3)]))
+        assert np.array_equal(
+            np.stack([*source.frames(0, 3)]), np.stack([*extras.mask.frames(0, 3)])
+        )
 
 
 def sources(n_frames):
@@ -181,11 +240,15 @@ def sources(n_frames):
 
 
 def timed(folder, dropped):
-    """A rig of ten frames whose camera i lacks the instant dropped(i) of eleven; the mark of a frame is its instant."""
+    """A rig of ten frames whose camera i lacks the instant dropped(i) of eleven; the mark of a
+    frame is its instant.
+    """
     write_poses(folder, make_rig())
     for index, name in enumerate(NAMES):
         kept = [instant for instant in range(11) if instant != dropped(index)]
-        write_timed_video(folder / f"{name}.mp4", [make_image(index, t) for t in kept], [20 * t for t in kept])
+        write_timed_video(
+            folder / f"{name}.mp4", [make_image(index, t) for t in kept], [20 * t for t in kept]
+        )
     return folder
 
 
@@ -194,10 +257,13 @@ def test_cameras_that_begin_later_are_aligned_by_number(tmp_path):
     capture = open_capture(numbered(tmp_path / "room", lambda index: 102 if index == 3 else 100))
     assert capture.n_frames == N_FRAMES - 2
     for frame in range(capture.n_frames):
-        assert {int(capture.frame(name, frame)[0, 0, 0]) for name in NAMES} == {30 + 20 * (2 + frame)}
+        assert {int(capture.frame(name, frame)[0, 0, 0]) for name in NAMES} == {
+            30 + 20 * (2 + frame)
+        }
     (note,) = (note for note in capture.notes if "all cameras have" in note)
     assert note.startswith(
-        "3 instants that all cameras have are taken, by the numbers in the names of pictures; left out: cam00 2 of 5"
+        "3 instants that all cameras have are taken, by the numbers in the names of pictures; left "
+        "out: cam00 2 of 5"
     )
 
 
@@ -217,7 +283,9 @@ def test_counting_from_zero_and_from_one_is_noted(tmp_path):
 
 @pytest.mark.parametrize("others_lose", [10, 8])
 def test_videos_that_drop_frames_are_paired_by_time(tmp_path, others_lose):
-    """Where one of them does, and where all do at different moments, so that their average rates agree; once that is asked."""
+    """Where one of them does, and where all do at different moments, so that their average rates
+    agree; once that is asked.
+    """
     folder = timed(tmp_path / "room", lambda index: 4 if index == 2 else others_lose)
     assert "33.3 ms apart; 'ggvs-eval check" in refusal(folder)
     write_pairing(folder)
@@ -239,7 +307,10 @@ def test_timecodes_pair_frames_once_that_is_asked(tmp_path):
         words = f"-v error -i raw -c copy -timecode 10:15:30:{5 + late:02d} {name}.mp4"
         subprocess.run([program, *words.split()], cwd=tmp_path, check=True)
     (tmp_path / "raw").unlink()
-    assert any("timecodes begin apart, frames late: cam02 2, cam03 1" in note for note in open_capture(tmp_path).notes)
+    assert any(
+        "timecodes begin apart, frames late: cam02 2, cam03 1" in note
+        for note in open_capture(tmp_path).notes
+    )
     write_pairing(tmp_path)
     capture = open_capture(tmp_path)
     assert capture.n_frames == 3

@@ -36,7 +36,9 @@ from helpers.lens_pictures import psnr, straight, through_lens
 from helpers.small_layouts import opencv_K, transforms, write_nerfstudio, write_storage
 
 
-def assert_rig(capture: Capture, names: tuple[str, ...] = NAMES, rig: list[Camera] | None = None) -> None:
+def assert_rig(
+    capture: Capture, names: tuple[str, ...] = NAMES, rig: list[Camera] | None = None
+) -> None:
     """The cameras of `make_rig`, in that order."""
     assert capture.camera_names == names
     for camera, truth in zip(capture.cameras, rig or make_rig(names), strict=True):
@@ -45,7 +47,9 @@ def assert_rig(capture: Capture, names: tuple[str, ...] = NAMES, rig: list[Camer
 
 
 def test_folders_of_instants(tmp_path):
-    """3DGStream's frameNNNNNN/images are instants, not cameras: each camera shows its picture of every one."""
+    """3DGStream's frameNNNNNN/images are instants, not cameras: each camera shows its picture of
+    every one.
+    """
     capture = open_capture(write_frame_folders(tmp_path / "scene", NAMES))
     assert (capture.layout, capture.n_frames) == ("3dgstream", 2)
     assert_rig(capture)
@@ -53,18 +57,24 @@ def test_folders_of_instants(tmp_path):
 
 
 def test_folders_of_instants_without_a_model(tmp_path):
-    """Without poses they are still no cameras: `check` ends bad and names the folder, the layout and the way on."""
+    """Without poses they are still no cameras: `check` ends bad and names the folder, the layout
+    and the way on.
+    """
     folder = write_frame_folders(tmp_path / "scene", NAMES)
     shutil.rmtree(folder / "frame000000" / "sparse")
     check = check_capture(folder)
     assert not check.is_usable
-    assert "frame000000 exists, but the capture is incomplete, 3dgstream" in check.findings[0].measured
+    assert (
+        "frame000000 exists, but the capture is incomplete, 3dgstream" in check.findings[0].measured
+    )
     assert "ggvs-eval calibrate" in check.findings[0].measured
 
 
 @pytest.mark.parametrize("suffix", [".png", ".JPG"])
 def test_stills_of_llff(tmp_path, suffix):
-    """poses_bounds.npy with one picture per camera in images/ is one instant; rows follow the order of names."""
+    """poses_bounds.npy with one picture per camera in images/ is one instant; rows follow the order
+    of names.
+    """
     write_poses(tmp_path, make_rig())
     for index in range(4):
         write_image(tmp_path / "images" / f"IMG_{4000 + index}.png", make_image(index, 0))
@@ -79,7 +89,10 @@ def test_stills_of_llff(tmp_path, suffix):
     assert_rig(capture, tuple(f"IMG_{4000 + index}" for index in range(4)))
     assert np.abs(capture.frame("IMG_4003", 0).astype(int) - make_image(3, 0)).max() < 12
     (tmp_path / "images" / f"IMG_4003{suffix}").unlink()
-    assert "wanted one row for each of the 3 cameras on disk (IMG_4000, IMG_4001, IMG_4002), got 4 rows" in refusal(tmp_path)
+    assert (
+        "wanted one row for each of the 3 cameras on disk (IMG_4000, IMG_4001, IMG_4002), got 4 "
+        "rows" in refusal(tmp_path)
+    )
 
 
 def write_splits(folder: Path) -> Path:
@@ -96,7 +109,9 @@ def write_splits(folder: Path) -> Path:
 
 
 def test_split_files_are_one_rig(tmp_path):
-    """transforms_train and _test are the cameras of one rig, whose test views are proposed, seen from the others."""
+    """transforms_train and _test are the cameras of one rig, whose test views are proposed, seen
+    from the others.
+    """
     capture = open_capture(write_splits(tmp_path / "scene"))
     assert_rig(capture)
     assert capture.n_frames == 1
@@ -108,7 +123,9 @@ def test_split_files_are_one_rig(tmp_path):
 
 def test_a_split_by_file_names(tmp_path):
     """Nerfstudio's test_filenames name test views as well."""
-    folder = write_nerfstudio(tmp_path / "scene", transforms() | {"test_filenames": ["images/cam01.png"]})
+    folder = write_nerfstudio(
+        tmp_path / "scene", transforms() | {"test_filenames": ["images/cam01.png"]}
+    )
     assert open_capture(folder).test_views == ("cam01",)
 
 
@@ -127,9 +144,15 @@ def test_matrices_of_intrinsics(tmp_path):
     frames = transforms()["frames"]
     for frame, camera in zip(frames, make_rig(), strict=True):
         frame["K"] = camera.K.tolist()
-    assert_rig(open_capture(changed(tmp_path / "scene", fl_x=None, fl_y=None, cx=None, cy=None, frames=frames)))
+    assert_rig(
+        open_capture(
+            changed(tmp_path / "scene", fl_x=None, fl_y=None, cx=None, cy=None, frames=frames)
+        )
+    )
     frames[1]["K"][0][0] *= 1.5
-    assert "two intrinsics of images/cam01.png" in refusal(changed(tmp_path / "other", frames=frames))
+    assert "two intrinsics of images/cam01.png" in refusal(
+        changed(tmp_path / "other", frames=frames)
+    )
 
 
 @pytest.mark.parametrize("coefficients", [(0.0, 0.0, 0.0, 0.0), (0.03, -0.01, 0.004, -0.001)])
@@ -142,7 +165,9 @@ def test_is_fisheye_is_read(tmp_path, coefficients):
     capture = open_capture(folder)
     np.testing.assert_allclose(capture.cameras[1].K, lens.undistorted_K())
     assert psnr(capture.frame("cam01", 0), straight(lens, capture.cameras[1].K)) > 42
-    assert "is_fisheye True of camera_model OPENCV" in refusal(changed(tmp_path / "both", is_fisheye=True))
+    assert "is_fisheye True of camera_model OPENCV" in refusal(
+        changed(tmp_path / "both", is_fisheye=True)
+    )
 
 
 def test_keys_that_nobody_knows_are_named(tmp_path):
@@ -166,10 +191,18 @@ def write_caliscope(folder: Path) -> tuple[str, ...]:
     names, text = tuple(f"cam_{index}" for index in range(4)), ""
     write_videos(folder, names)
     for index, camera in enumerate(make_rig(names)):
-        text += f"[cameras.{index}]\ncam_id = {index}\nrotation_count = 0\nsize = [{WIDTH}, {HEIGHT}]\n"
+        text += (
+            f"[cameras.{index}]\ncam_id = {index}\nrotation_count = 0\nsize = [{WIDTH}, {HEIGHT}]\n"
+        )
         text += f"matrix = {opencv_K(camera).tolist()}\ndistortions = [0.0, 0.0, 0.0, 0.0, 0.0]\n"
-        text += f"rotation = {camera.rotation.tolist()}\ntranslation = {camera.translation.tolist()}\n\n"
-    text += f'[cameras.4]\ncam_id = 4\nmatrix = {np.eye(3).tolist()}\nignore = true\nrotation = "null"\n'
+        text += (
+            f"rotation = {camera.rotation.tolist()}\ntranslation = "
+            f"{camera.translation.tolist()}\n\n"
+        )
+    text += (
+        f"[cameras.4]\ncam_id = 4\nmatrix = {np.eye(3).tolist()}\nignore = true\nrotation = "
+        f'"null"\n'
+    )
     (folder / "camera_array.toml").write_text(text)
     return names
 
@@ -179,7 +212,11 @@ def write_xml(folder: Path) -> tuple[str, ...]:
     write_videos(folder)
     for camera in make_rig():
         entries = {"image_width": WIDTH, "image_height": HEIGHT, "camera_matrix": opencv_K(camera)}
-        entries |= {"distortion_coefficients": np.zeros((5, 1)), "R": camera.rotation, "T": camera.translation.reshape(3, 1)}
+        entries |= {
+            "distortion_coefficients": np.zeros((5, 1)),
+            "R": camera.rotation,
+            "T": camera.translation.reshape(3, 1),
+        }
         write_storage(folder / f"{camera.name}.xml", entries)
     return NAMES
 
@@ -200,8 +237,13 @@ def test_lenses_of_ros(tmp_path, model, kind):
     for camera in make_rig():
         data = ", ".join(map(str, opencv_K(camera).ravel()))
         text = f"image_width: {WIDTH}\nimage_height: {HEIGHT}\ncamera_name: {camera.name}\n"
-        text += f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{data}]\ndistortion_model: {model}\n"
-        text += f"distortion_coefficients:\n  rows: 1\n  cols: {len(coefficients)}\n  data: {coefficients}\n"
+        text += (
+            f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{data}]\ndistortion_model: {model}\n"
+        )
+        text += (
+            f"distortion_coefficients:\n  rows: 1\n  cols: {len(coefficients)}\n  data: "
+            f"{coefficients}\n"
+        )
         (tmp_path / f"{camera.name}.yaml").write_text(text)
     known = read_known(tmp_path)
     assert tuple(known) == NAMES
@@ -223,18 +265,36 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [
-        ("cameras_parameters.txt", "x", "cameras_parameters.txt exists, but the capture is incomplete, technicolor"),
+        (
+            "cameras_parameters.txt",
+            "x",
+            "cameras_parameters.txt exists, but the capture is incomplete, technicolor",
+        ),
         ("transforms_val.json.bak", "", None),
         ("transforms_test2.json", "{}", "transforms_test2.json exists"),
-        ("intri.yml", "%YAML:1.0\n", "intri.yml exists, but the capture is incomplete, enerf-outdoor: no extri.yml"),
-        ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml exists: cameras (an entry intrinsics) in a form"),
-        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json exists: cameras (an entry k) in a form"),
+        (
+            "intri.yml",
+            "%YAML:1.0\n",
+            "intri.yml exists, but the capture is incomplete, enerf-outdoor: no extri.yml",
+        ),
+        (
+            "rig.xml",
+            "<rig><intrinsics>1 2 3</intrinsics></rig>",
+            "rig.xml exists: cameras (an entry intrinsics) in a form",
+        ),
+        (
+            "cameras.json",
+            '{"k": [[1, 0, 0]], "w2c": []}',
+            "cameras.json exists: cameras (an entry k) in a form",
+        ),
         ("notes.json", '{"actor": "anna"}', None),
         ("intrinsics.toml", "[[camera]]\nK = [[1.0]]\n", None),
     ],
 )
 def test_a_calibration_that_cannot_be_read_is_named(tmp_path, name, content, told):
-    """With a layout's own mark there is no "no calibration yet": the file and its layout stand first, and the check is bad."""
+    """With a layout's own mark there is no "no calibration yet": the file and its layout stand
+    first, and the check is bad.
+    """
     folder = tmp_path / "videos_of_mine"
     for camera in NAMES:
         write_image(folder / "images" / f"{camera}.png", make_image(1, 0))
@@ -256,16 +316,26 @@ def test_captures_two_levels_below_are_named(tmp_path):
     assert_rig(open_capture(tmp_path / "dense" / "0"))
 
 
-@pytest.mark.parametrize(("transfer", "told"), [(ColorTrc.ARIB_STD_B67, "HLG"), (ColorTrc.SMPTE2084, "PQ"), (ColorTrc.BT709, "")])
+@pytest.mark.parametrize(
+    ("transfer", "told"),
+    [(ColorTrc.ARIB_STD_B67, "HLG"), (ColorTrc.SMPTE2084, "PQ"), (ColorTrc.BT709, "")],
+)
 def test_levels_of_high_dynamic_range(tmp_path, transfer, told):
-    """`check` names videos whose levels are not those of a display, and the command that converts them."""
+    """`check` names videos whose levels are not those of a display, and the command that converts
+    them.
+    """
     for name in NAMES:
         with av.open(str(tmp_path / f"{name}.mp4"), "w") as container:
             stream = container.add_stream("libx264", rate=30)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            stream.codec_context.color_trc, stream.codec_context.color_primaries = transfer, ColorPrimaries.BT2020
+            stream.codec_context.color_trc, stream.codec_context.color_primaries = (
+                transfer,
+                ColorPrimaries.BT2020,
+            )
             for frame in range(2):
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(make_image(0, frame), format="rgb24")))
+                container.mux(
+                    stream.encode(av.VideoFrame.from_ndarray(make_image(0, frame), format="rgb24"))
+                )
             container.mux(stream.encode())
     write_poses(tmp_path, make_rig())
     finding = check_capture(tmp_path).of("frames")[0]

@@ -1,4 +1,6 @@
-"""Lenses: OpenCV's own models, pinhole images without blank pixels, and frames that come back straight."""
+"""Lenses: OpenCV's own models, pinhole images without blank pixels, and frames that come back
+straight.
+"""
 
 import pickle
 from collections.abc import Iterator
@@ -45,7 +47,9 @@ class PatternFrames:
     ids=["barrel", "pincushion", "rational", "fisheye"],
 )
 def test_distortion_is_the_inverse_of_opencv(model, coefficients):
-    """Points that are distorted and brought back by OpenCV are where they were, and were elsewhere in between."""
+    """Points that are distorted and brought back by OpenCV are where they were, and were elsewhere
+    in between.
+    """
     lens = make_lens(coefficients, model)
     uv = pixel_grid(WIDTH, HEIGHT)
     distorted = lens.distort(uv, K)
@@ -57,7 +61,9 @@ def test_distortion_by_hand():
     """One coefficient, one point: the radius grows by 1 + k1 r^2."""
     lens = make_lens((0.5, 0.0, 0.0, 0.0))
     uv = K[:2, 2] + np.array([80.0 * 0.4, 81.0 * 0.3])
-    np.testing.assert_allclose(lens.distort(uv, K), K[:2, 2] + np.array([80.0 * 0.4, 81.0 * 0.3]) * (1 + 0.5 * 0.25))
+    np.testing.assert_allclose(
+        lens.distort(uv, K), K[:2, 2] + np.array([80.0 * 0.4, 81.0 * 0.3]) * (1 + 0.5 * 0.25)
+    )
 
 
 def test_barrel_keeps_the_lens_matrix():
@@ -67,7 +73,9 @@ def test_barrel_keeps_the_lens_matrix():
 
 @pytest.mark.parametrize("model", ["opencv", "fisheye"])
 def test_pincushion_is_zoomed_just_enough(model):
-    """Pincushion distortion is zoomed in until the pinhole image lies in the distorted one and touches its border."""
+    """Pincushion distortion is zoomed in until the pinhole image lies in the distorted one and
+    touches its border.
+    """
     lens = make_lens(PINCUSHION if model == "opencv" else (0.6, 0.1, 0.0, 0.0), model)
     zoomed = lens.undistorted_K()
     assert zoomed[0, 0] / K[0, 0] == pytest.approx(zoomed[1, 1] / K[1, 1])
@@ -82,7 +90,9 @@ def test_pincushion_is_zoomed_just_enough(model):
 
 
 def test_no_part_of_the_picture_appears_twice():
-    """A model that folds back within the image is zoomed to where it does not; the fold lies at r = 1 / sqrt(3 * 0.3)."""
+    """A model that folds back within the image is zoomed to where it does not; the fold lies at r =
+    1 / sqrt(3 * 0.3).
+    """
     wide = np.array([[40.0, 0.0, 48.0], [0.0, 40.0, 32.0], [0.0, 0.0, 1.0]])
     zoomed = make_lens((-0.3, 0.0, 0.0, 0.0), matrix=wide).undistorted_K()
     corner = np.hypot(48.0 / zoomed[0, 0], 32.0 / zoomed[1, 1])
@@ -96,12 +106,16 @@ def test_hopeless_coefficients_are_refused():
 
 
 def test_resized_lens_distorts_likewise():
-    """At twice the width and three times the height, every point lies at twice and three times its coordinates."""
+    """At twice the width and three times the height, every point lies at twice and three times its
+    coordinates.
+    """
     lens, uv, scale = make_lens(), pixel_grid(WIDTH, HEIGHT), np.array([2.0, 3.0])
     large, K_large = lens.resized(2 * WIDTH, 3 * HEIGHT), np.diag([2.0, 3.0, 1.0]) @ K
     assert (large.width, large.height) == (2 * WIDTH, 3 * HEIGHT)
     np.testing.assert_allclose(large.K, K_large)
-    np.testing.assert_allclose(large.distort(scale * uv, K_large), scale * lens.distort(uv, K), atol=1e-9)
+    np.testing.assert_allclose(
+        large.distort(scale * uv, K_large), scale * lens.distort(uv, K), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,7 +134,15 @@ def test_coefficients_that_are_none(model, coefficients, message):
 
 @pytest.mark.parametrize(
     ("row", "column", "value"),
-    [(0, 0, 0.0), (1, 1, -80.0), (0, 1, 3.0), (2, 0, 50.0), (2, 2, 2.0), (0, 2, float("nan")), (1, 0, 0.1)],
+    [
+        (0, 0, 0.0),
+        (1, 1, -80.0),
+        (0, 1, 3.0),
+        (2, 0, 50.0),
+        (2, 2, 2.0),
+        (0, 2, float("nan")),
+        (1, 0, 0.1),
+    ],
     ids=["no focal length", "negative", "skew", "transposed", "scaled", "NaN", "lower"],
 )
 def test_a_matrix_that_is_no_K(row, column, value):
@@ -150,7 +172,9 @@ def test_only_zero_coefficients_make_a_pinhole():
     ids=["barrel", "pin", "fisheye"],
 )
 def test_frames_come_back_straight(model, coefficients):
-    """A picture rendered through the lens by formula is undistorted to the picture by formula, up to the resampling."""
+    """A picture rendered through the lens by formula is undistorted to the picture by formula, up
+    to the resampling.
+    """
     lens = make_lens(coefficients, model)
     target = lens.undistorted_K()
     source = UndistortedFrames(PatternFrames(lens), lens, target)
@@ -168,7 +192,9 @@ def test_frames_come_back_straight(model, coefficients):
 
 
 def test_the_edge_is_not_mixed_with_black():
-    """A white picture stays white up to its last pixel where the lens saw all of it, and is black where it saw nothing."""
+    """A white picture stays white up to its last pixel where the lens saw all of it, and is black
+    where it saw nothing.
+    """
     white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
 
     class White(PatternFrames):
@@ -184,7 +210,9 @@ def test_the_edge_is_not_mixed_with_black():
 
 
 def test_digest_follows_source_lens_and_target():
-    """Other frames, other coefficients, another model or another K give another digest; equal ones the same."""
+    """Other frames, other coefficients, another model or another K give another digest; equal ones
+    the same.
+    """
     lens = make_lens(FISHEYE)
     frames = PatternFrames(lens)
     variants = [

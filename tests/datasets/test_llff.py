@@ -10,10 +10,16 @@ from ggvs_eval.datasets.llff import LlffPose, read_llff_poses, write_llff_poses
 
 
 def test_identity_pose(tmp_path):
-    """A camera at the origin that looks along z has the axes down, right, backwards of the LLFF convention."""
-    write_llff_poses(tmp_path / "poses_bounds.npy", [LlffPose(np.eye(4), (48.0, 64.0, 50.0), 1.0, 9.0)])
+    """A camera at the origin that looks along z has the axes down, right, backwards of the LLFF
+    convention.
+    """
+    write_llff_poses(
+        tmp_path / "poses_bounds.npy", [LlffPose(np.eye(4), (48.0, 64.0, 50.0), 1.0, 9.0)]
+    )
     row = np.load(tmp_path / "poses_bounds.npy")[0]
-    np.testing.assert_array_equal(row[:15].reshape(3, 5).T, [[0, 1, 0], [1, 0, 0], [0, 0, -1], [0, 0, 0], [48, 64, 50]])
+    np.testing.assert_array_equal(
+        row[:15].reshape(3, 5).T, [[0, 1, 0], [1, 0, 0], [0, 0, -1], [0, 0, 0], [48, 64, 50]]
+    )
     np.testing.assert_array_equal(row[15:], [1, 9])
 
 

@@ -1,4 +1,6 @@
-"""MeetRoom: StreamRF's videos without leading zeros and what its script extracts of them, damage in one line."""
+"""MeetRoom: StreamRF's videos without leading zeros and what its script extracts of them, damage in
+one line.
+"""
 
 from pathlib import Path
 
@@ -21,13 +23,19 @@ def discussion_folder(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("arrangement", ["videos", "instants", "frames/"])
 def test_rows_follow_the_numbers(discussion_folder, tmp_path, arrangement):
-    """cam_2 comes before cam_10: row i is of the i-th camera by number, in videos and in a folder per instant."""
+    """cam_2 comes before cam_10: row i is of the i-th camera by number, in videos and in a folder
+    per instant.
+    """
     folders = {"instants": tmp_path / "trimming", "frames/": tmp_path / "trimming" / "frames"}
     if arrangement in folders:
         write_extracted(folders[arrangement], NAMES)
     capture = open_capture(tmp_path / "trimming" if arrangement in folders else discussion_folder)
 
-    assert (capture.layout, capture.camera_names, capture.n_frames) == ("meetroom", NAMES, N_INSTANTS)
+    assert (capture.layout, capture.camera_names, capture.n_frames) == (
+        "meetroom",
+        NAMES,
+        N_INSTANTS,
+    )
     for index, (camera, other) in enumerate(zip(capture.cameras, make_rig(NAMES), strict=True)):
         np.testing.assert_allclose(camera.centre, other.centre, atol=1e-12)
         assert mean_colours(capture, camera.name) == [(0, index), (1, index)]

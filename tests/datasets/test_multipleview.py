@@ -1,4 +1,6 @@
-"""The multipleview layout of 4D Gaussian Splatting: camXX/frame_00001.jpg with a COLMAP model in sparse_/."""
+"""The multipleview layout of 4D Gaussian Splatting: camXX/frame_00001.jpg with a COLMAP model in
+sparse_/.
+"""
 
 import shutil
 from pathlib import Path
@@ -25,7 +27,12 @@ def test_opens_as_calibrated(scene_folder, binary):
     if binary:
         make_binary(scene_folder / "sparse_")
     read = open_capture(scene_folder)
-    assert (read.layout, read.camera_names, read.n_frames, read.fps) == ("multipleview", FOLDERS, N_INSTANTS, 30.0)
+    assert (read.layout, read.camera_names, read.n_frames, read.fps) == (
+        "multipleview",
+        FOLDERS,
+        N_INSTANTS,
+        30.0,
+    )
     for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(), strict=True)):
         np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-9)
         np.testing.assert_allclose(camera.K, truth.K)
@@ -47,9 +54,13 @@ def test_leading_zeros_and_more_than_nine_cameras(tmp_path):
         assert np.array_equal(read.frame(camera.name, 0), make_image(number, 0))
 
 
-@pytest.mark.parametrize("folders", [("cam01", "cam03", "cam04", "cam07", "cam1"), ("cam01", "cam03", "cam04")])
+@pytest.mark.parametrize(
+    "folders", [("cam01", "cam03", "cam04", "cam07", "cam1"), ("cam01", "cam03", "cam04")]
+)
 def test_folders_of_other_numbers(scene_folder, folders):
-    """Two of one number, or fewer than the model has images: which is meant is not guessed, and both sides are listed."""
+    """Two of one number, or fewer than the model has images: which is meant is not guessed, and
+    both sides are listed.
+    """
     shutil.rmtree(scene_folder / "cam02")
     for name in folders[3:]:
         shutil.copytree(scene_folder / "cam01", scene_folder / name, dirs_exist_ok=True)

@@ -28,9 +28,15 @@ def edit(scene: Path, change, file: str = "train_meta.json") -> None:
 
 
 def test_both_files_are_one_rig(scene):
-    """Cameras are called as their folders, in the order of their numbers, with the pose and intrinsics of the file, metric."""
+    """Cameras are called as their folders, in the order of their numbers, with the pose and
+    intrinsics of the file, metric.
+    """
     capture = open_capture(scene)
-    assert (capture.layout, capture.camera_names, capture.n_frames) == ("panoptic", ("0", "3", "10"), N_INSTANTS)
+    assert (capture.layout, capture.camera_names, capture.n_frames) == (
+        "panoptic",
+        ("0", "3", "10"),
+        N_INSTANTS,
+    )
     assert capture.units_per_metre == 1.0
     assert mean_colours(capture, "10") == [(0, 2), (1, 2)]
     for camera, calibrated in zip(capture.cameras, make_rig(("0", "3", "10")), strict=True):
@@ -52,7 +58,10 @@ def test_frames_come_in_the_order_of_the_file(scene):
         (lambda values: values["k"][1][1][0].__setitem__(0, 70.0), "k of camera 10 that changes"),
         (lambda values: values["fn"][1].pop(), "instants that differ in their cameras"),
         (lambda values: values["fn"][0].__setitem__(0, "../x/0.png"), r"wanted CAM/FRAME.jpg"),
-        (lambda values: values["fn"][1].__setitem__(0, "10/000001.png"), "images of several folders for camera 0"),
+        (
+            lambda values: values["fn"][1].__setitem__(0, "10/000001.png"),
+            "images of several folders for camera 0",
+        ),
         (lambda values: values["k"][0].pop(), "wanted w, h"),
     ],
 )

@@ -1,4 +1,6 @@
-"""Public captures by name, from a server on the loopback address: resumed, recorded, checked, unpacked safely."""
+"""Public captures by name, from a server on the loopback address: resumed, recorded, checked,
+unpacked safely.
+"""
 
 import json
 import zipfile
@@ -8,7 +10,12 @@ from threading import Thread
 import pytest
 
 from ggvs_eval.datasets import open_capture, public_captures
-from ggvs_eval.datasets.public_captures import PublicDataset, find_scene, get_capture, public_datasets
+from ggvs_eval.datasets.public_captures import (
+    PublicDataset,
+    find_scene,
+    get_capture,
+    public_datasets,
+)
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files import download as downloads
 from ggvs_eval.files.download import DownloadError
@@ -21,7 +28,9 @@ from helpers.small_layouts import write_capture_toml
 
 
 class Server(ThreadingHTTPServer):
-    """Serves `content` under any path, whole or from a byte on; breaks off after `limit` bytes where one is set."""
+    """Serves `content` under any path, whole or from a byte on; breaks off after `limit` bytes
+    where one is set.
+    """
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), Handler)
@@ -39,7 +48,9 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self):
         begun = 0
-        if (wanted := self.headers.get("Range")) and self.headers.get("If-Range") == self.server.tag:
+        if (wanted := self.headers.get("Range")) and self.headers.get(
+            "If-Range"
+        ) == self.server.tag:
             begun = int(wanted.removeprefix("bytes=").removesuffix("-"))
         self.server.asked.append((self.path, begun))
         rest = self.server.content[begun:]
@@ -71,7 +82,9 @@ def dataset(server, tmp_path, monkeypatch) -> PublicDataset:
     server.content = (tmp_path / "juggling.zip").read_bytes()
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(downloads, "CHUNK_BYTES", 1000)
-    own = PublicDataset("own", "Juggling (1994)", "CC0", "https://example.org", server.url, ("juggling",))
+    own = PublicDataset(
+        "own", "Juggling (1994)", "CC0", "https://example.org", server.url, ("juggling",)
+    )
     monkeypatch.setattr(public_captures, "public_datasets", lambda: {"own": own})
     return own
 
@@ -97,7 +110,9 @@ def test_a_capture_is_fetched_once_and_opens_by_its_name(dataset, server, tmp_pa
 
 @pytest.mark.parametrize("changed", [False, True])
 def test_a_stopped_download_goes_on(dataset, server, tmp_path, changed):
-    """From the byte where it stopped; from the first one where the server has another file meanwhile."""
+    """From the byte where it stopped; from the first one where the server has another file
+    meanwhile.
+    """
     server.limit = 2500
     with pytest.raises(DownloadError, match="run the same command to resume"):
         get_capture("own:juggling")
@@ -136,13 +151,18 @@ def test_without_a_network_one_line_says_what_to_fetch_and_where_to_put_it(datas
 
 
 def test_what_is_fetched_by_hand_opens_by_its_name_where_it_was_put(tmp_path, monkeypatch, capsys):
-    """`get llff` and `get llff:fern` name archive, files and place; a scene put there is a capture with the protocol's views."""
+    """`get llff` and `get llff:fern` name archive, files and place; a scene put there is a capture
+    with the protocol's views.
+    """
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
     place = tmp_path / "captures" / "llff" / "fern"
     for asked, where in (("llff", place.with_name("SCENE")), ("llff:fern", place)):
         with pytest.raises(GgvsError, match=r"nerf_llff_data\.zip") as caught:
             get_capture(asked)
-        assert all(word in str(caught.value) for word in ("poses_bounds.npy and images_4", f"to {where} (http"))
+        assert all(
+            word in str(caught.value)
+            for word in ("poses_bounds.npy and images_4", f"to {where} (http")
+        )
     names = [f"image{number:03d}" for number in range(20)]
     write_poses(place, make_rig(names))
     for name in names:
@@ -151,7 +171,9 @@ def test_what_is_fetched_by_hand_opens_by_its_name_where_it_was_put(tmp_path, mo
     printed = capsys.readouterr()
     assert all(word in printed.err for word in ("1.8 GB", "none stated", "llff_sparse3_fern, "))
     assert printed.out.strip() == str(place)
-    assert set(load_protocol("llff_3view_fern").views.test) < set(open_capture("llff:fern").camera_names)
+    assert set(load_protocol("llff_3view_fern").views.test) < set(
+        open_capture("llff:fern").camera_names
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,7 +181,9 @@ def test_what_is_fetched_by_hand_opens_by_its_name_where_it_was_put(tmp_path, mo
     [(name, scene) for name, dataset in public_datasets().items() for scene in dataset.scenes],
 )
 def test_every_scene_has_size_terms_and_protocols(name, scene):
-    """What is said before anything is fetched; the protocols are packaged, and what names sources has them for this scene."""
+    """What is said before anything is fetched; the protocols are packaged, and what names sources
+    has them for this scene.
+    """
     dataset = public_datasets()[name]
     protocols = dataset.terms(scene).partition("--protocol: ")[2].split(", ")
     assert set(protocols) <= set(packaged_protocols())
@@ -184,13 +208,18 @@ def test_an_answer_that_is_not_secure_is_refused():
     check = downloads._require_secure
     check("https://example.org/a", "https://cdn.example.org/a")
     check("http://127.0.0.1:8000/a", "http://127.0.0.1:8000/a")
-    for asked, answered in (("https://example.org/a", "http://127.0.0.1/a"), ("http://example.org/a", "http://example.org/a")):
+    for asked, answered in (
+        ("https://example.org/a", "http://127.0.0.1/a"),
+        ("http://example.org/a", "http://example.org/a"),
+    ):
         with pytest.raises(ValueError, match="not secure"):
             check(asked, answered)
 
 
 def test_names_that_there_are_not_are_met_by_those_that_there_are():
-    """Of data sets and of scenes; scenes of several parts say how they are joined; a path with a colon stays a path."""
+    """Of data sets and of scenes; scenes of several parts say how they are joined; a path with a
+    colon stays a path.
+    """
     with pytest.raises(CaptureError, match="n3v, immersive, panoptic"):
         find_scene("n4v:flame_steak")
     with pytest.raises(CaptureError, match="flame_steak"):

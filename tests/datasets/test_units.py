@@ -24,7 +24,10 @@ def points_toml(metres: float = 0.5, scale: float = 1.0, extra: str = "") -> str
         key: {RIG[index].name: (scale * RIG[index].project(point)[0]).tolist() for index in seen_by}
         for key, point, seen_by in (("a", A, (0, 2)), ("b", B, (0, 1, 3)))
     }
-    tables = "".join(f"{key} = {{ {', '.join(f'{name} = {uv}' for name, uv in each.items())} }}\n" for key, each in marks.items())
+    tables = "".join(
+        f"{key} = {{ {', '.join(f'{name} = {uv}' for name, uv in each.items())} }}\n"
+        for key, each in marks.items()
+    )
     return f"[points]\nmetres = {metres}\n{extra}{tables}"
 
 
@@ -49,7 +52,9 @@ def test_baseline(tmp_path):
 
 @pytest.mark.parametrize(("scale", "extra"), [(1.0, ""), (2.0, "size = [128, 96]\n")])
 def test_two_marked_points(tmp_path, scale, extra):
-    """Two points that are marked in several images are triangulated, also where the marks are of a larger image."""
+    """Two points that are marked in several images are triangulated, also where the marks are of a
+    larger image.
+    """
     units = units_of(tmp_path, points_toml(0.5, scale, extra))
     assert units.per_metre == pytest.approx(np.linalg.norm(A - B) / 0.5, rel=1e-9)
     assert units.origin == "two marked points 0.5 m apart, their rays meet within 0.0 px"
@@ -63,8 +68,12 @@ def test_the_origin_tells_how_well_the_marks_meet(tmp_path):
 
 
 def test_triangulation_of_noisy_marks():
-    """With marks half a pixel off, the point lies within a few centimetres and the largest miss is told."""
-    uv = np.stack([camera.project(A)[0] for camera in RIG]) + np.random.default_rng(2).normal(0, 0.5, (4, 2))
+    """With marks half a pixel off, the point lies within a few centimetres and the largest miss is
+    told.
+    """
+    uv = np.stack([camera.project(A)[0] for camera in RIG]) + np.random.default_rng(2).normal(
+        0, 0.5, (4, 2)
+    )
     point, missed = triangulate(RIG, uv)
     assert np.linalg.norm(point[:2] - A[:2]) < 0.1
     assert 0.1 < missed < 2.0
@@ -92,7 +101,9 @@ def test_the_guess_follows_the_median_depth(tmp_path):
 def test_a_file_from_the_command_line(dynerf, tmp_path):
     """open_capture takes a file as well, wherever it lies."""
     (tmp_path / "elsewhere.toml").write_text(BASELINE)
-    assert open_capture(dynerf, units=tmp_path / "elsewhere.toml").units_per_metre == pytest.approx(DISTANCE / 0.5)
+    assert open_capture(dynerf, units=tmp_path / "elsewhere.toml").units_per_metre == pytest.approx(
+        DISTANCE / 0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,9 +117,15 @@ def test_a_file_from_the_command_line(dynerf, tmp_path):
         ("units_per_metre = -2", "positive number of world units per metre, got -2"),
         ("units_per_metre = nan", "positive number of world units per metre, got nan"),
         (f"units_per_metre = 1{'0' * 400}", "positive number of world units per metre, got 1000"),
-        (BASELINE.replace("cam03", "cam07"), "got: no 'cam07'; the cameras are cam00, cam01, cam02, cam03"),
+        (
+            BASELINE.replace("cam03", "cam07"),
+            "got: no 'cam07'; the cameras are cam00, cam01, cam02, cam03",
+        ),
         (BASELINE.replace('"cam00", ', ""), "got: not enough values to unpack"),
-        (BASELINE.replace("cam03", "cam00"), "positive number of world units between cam00 and cam00, got 0.0"),
+        (
+            BASELINE.replace("cam03", "cam00"),
+            "positive number of world units between cam00 and cam00, got 0.0",
+        ),
         (BASELINE.replace("metres = 0.5", ""), "got: no 'metres'"),
         (BASELINE.replace("0.5", "0"), "positive number of metres between the cameras, got 0"),
         ("baseline = 3", "wanted units_per_metre = NUMBER"),
@@ -119,14 +136,23 @@ def test_a_file_from_the_command_line(dynerf, tmp_path):
             "points.a wanted in at least two cameras, got 1",
         ),
         (points_toml(extra="size = [0, 0]\n"), "wanted units_per_metre = NUMBER"),
-        (f"[points]\nmetres = 1\na = {{ cam00 = [1{'0' * 400}, 1], cam01 = [2, 1] }}\nb = 1", "wanted units_per_metre = NUMBER"),
-        ("[points]\nmetres = 1\na = { cam00 = [nan, 1], cam01 = [2, 1] }\nb = { cam00 = [1, 1], cam01 = [2, 1] }", "wanted"),
+        (
+            f"[points]\nmetres = 1\na = {{ cam00 = [1{'0' * 400}, 1], cam01 = [2, 1] }}\nb = 1",
+            "wanted units_per_metre = NUMBER",
+        ),
+        (
+            "[points]\nmetres = 1\na = { cam00 = [nan, 1], cam01 = [2, 1] }\nb = { cam00 = [1, 1], "
+            "cam01 = [2, 1] }",
+            "wanted",
+        ),
         (f"a = {'[' * 5000}", "TOML"),
         ('"two\\nlines" = 1', "got two lines; keep one"),
     ],
 )
 def test_damaged_units_file(tmp_path, text, message):
-    """Whatever a units.toml says wrongly is refused in one line that names file, expectation and finding."""
+    """Whatever a units.toml says wrongly is refused in one line that names file, expectation and
+    finding.
+    """
     with pytest.raises(CaptureError) as caught:
         units_of(tmp_path, text)
     told = str(caught.value)

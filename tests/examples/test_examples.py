@@ -1,4 +1,6 @@
-"""The examples: each is run by the command in its header, on the quick demo capture and little of it."""
+"""The examples: each is run by the command in its header, on the quick demo capture and little of
+it.
+"""
 
 import re
 import runpy
@@ -19,13 +21,21 @@ from helpers.places import ROOT
 from helpers.small_runs import leave_out_figures
 
 EXAMPLES = ROOT / "examples"
-LIVE_RIG, SCORE_FOLDER, SWEEP = EXAMPLES / "live_rig.py", EXAMPLES / "score_folder.py", EXAMPLES / "sweep.toml"
-pytestmark = [pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples/ beside an installed wheel")]
+LIVE_RIG, SCORE_FOLDER, SWEEP = (
+    EXAMPLES / "live_rig.py",
+    EXAMPLES / "score_folder.py",
+    EXAMPLES / "sweep.toml",
+)
+pytestmark = [
+    pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples/ beside an installed wheel")
+]
 
 
 @pytest.fixture(scope="module")
 def folder(quick_demo, tmp_path_factory):
-    """A working folder as the headers want it: the quick demo, its protocol cut to two views and metrics."""
+    """A working folder as the headers want it: the quick demo, its protocol cut to two views and
+    metrics.
+    """
     folder = tmp_path_factory.mktemp("examples")
     shutil.copytree(quick_demo, folder / "quick")
     protocol = load_protocol(folder / "quick" / "quick.toml")
@@ -34,21 +44,34 @@ def folder(quick_demo, tmp_path_factory):
     for renders in ("fixed", "late"):
         shutil.rmtree(folder / "quick" / renders / "cam07")
     (folder / "quick" / "quick.toml").write_text(cut.to_toml(), encoding="utf-8")
-    small = replace(cut, views=Views(("cam03",), "test"), frames=Frames(1, 2), synthesis=Synthesis(2, width=120, height=90))
+    small = replace(
+        cut,
+        views=Views(("cam03",), "test"),
+        frames=Frames(1, 2),
+        synthesis=Synthesis(2, width=120, height=90),
+    )
     (folder / "small.toml").write_text(small.to_toml(), encoding="utf-8")
     return folder
 
 
 def command_of(example, beginning):
     """The words of the command in an example's header, its own path the one of the checkout."""
-    line = re.search(rf"^[# ]+{beginning} (.*?)(?:  #.*)?$", example.read_text(encoding="utf-8"), re.MULTILINE)[1]
-    return [str(ROOT / word) if word.startswith("examples/") else word for word in shlex.split(line)]
+    line = re.search(
+        rf"^[# ]+{beginning} (.*?)(?:  #.*)?$", example.read_text(encoding="utf-8"), re.MULTILINE
+    )[1]
+    return [
+        str(ROOT / word) if word.startswith("examples/") else word for word in shlex.split(line)
+    ]
 
 
 def ran(folder, example):
     """What a script prints, called in a process of its own."""
     done = subprocess.run(
-        [sys.executable, *command_of(example, "python")], cwd=folder, capture_output=True, text=True, check=False
+        [sys.executable, *command_of(example, "python")],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -69,14 +92,22 @@ def test_the_page_shows_the_live_rig():
 
 @pytest.mark.slow
 def test_folders_are_scored(folder, monkeypatch, capsys):
-    """Both folders have their numbers and intervals, the late one its fault, and the page is there."""
+    """Both folders have their numbers and intervals, the late one its fault, and the page
+    is there.
+    """
     leave_out_figures(monkeypatch)
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", command_of(SCORE_FOLDER, "python"))
     runpy.run_path(str(SCORE_FOLDER), run_name="__main__")
     out = capsys.readouterr().out
-    values = {line.split()[1]: float(line.split()[2]) for line in out.splitlines() if line.startswith("PSNR")}
-    summary = Results.read(folder / "out" / "scores").summary().droplevel(["dataset", "variant"])["PSNR"]
+    values = {
+        line.split()[1]: float(line.split()[2])
+        for line in out.splitlines()
+        if line.startswith("PSNR")
+    }
+    summary = (
+        Results.read(folder / "out" / "scores").summary().droplevel(["dataset", "variant"])["PSNR"]
+    )
     assert values == pytest.approx(summary.round(4).to_dict(), abs=1e-9)
     assert values["fixed"] > values["late"] + 2
     assert re.search(r"^SSIM +fixed +0\.\d+ \+- \d\S* +given this scene", out, re.MULTILINE), out
@@ -93,6 +124,8 @@ def test_a_sweep_has_a_line_for_each_k_and_row(folder, monkeypatch):
     run_command(["sweep", *words, "--jobs", "1"])
     table = pd.read_csv(folder / "out" / "sweep" / "sweep.csv")
     assert sorted(zip(table["variant"], table["method"], strict=True)) == [
-        (f"k{k}", title) for k in (2, 3) for title in ("GGVS (online)", "GGVS (online), no temporal filtering")
+        (f"k{k}", title)
+        for k in (2, 3)
+        for title in ("GGVS (online)", "GGVS (online), no temporal filtering")
     ]
     assert table["PSNR"].between(20, 50).all()

@@ -10,9 +10,13 @@ from ggvs_eval.files import archive
 from ggvs_eval.files.archive import Limits, unpack
 
 
-@pytest.mark.parametrize(("allowed", "free", "fits"), [(3000, 3000, True), (3000, 1500, False), (1500, 3000, False)])
+@pytest.mark.parametrize(
+    ("allowed", "free", "fits"), [(3000, 3000, True), (3000, 1500, False), (1500, 3000, False)]
+)
 def test_neither_the_limit_nor_the_disk_is_exceeded(tmp_path, monkeypatch, allowed, free, fits):
-    """Two files of 1,000 bytes fit into 3,000, allowed and free; with 1,500 of either the archive is refused."""
+    """Two files of 1,000 bytes fit into 3,000, allowed and free; with 1,500 of either the archive
+    is refused.
+    """
     with zipfile.ZipFile(tmp_path / "renders.zip", "w") as packed:
         for name in ("a", "b"):
             packed.writestr(f"cam00/{name}.txt", b"x" * 1000)

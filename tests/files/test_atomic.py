@@ -1,4 +1,6 @@
-"""Files and folders are there whole or not at all, whoever is killed, fails or writes at the same time."""
+"""Files and folders are there whole or not at all, whoever is killed, fails or writes at the same
+time.
+"""
 
 import errno
 import os
@@ -40,7 +42,9 @@ with {writer}(Path(sys.argv[1])) as temporary:
 def kill_in_the_middle(writer, path):
     """Let another process begin to write, and kill it half way."""
     code = STOP_IN_THE_MIDDLE.format(writer=writer)
-    process = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout.readline() == "half way\n"
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
@@ -121,14 +125,19 @@ def test_errors_name_the_file_that_was_wanted(tmp_path):
         Path("/dev/full").open("wb", buffering=0) as full,
     ):
         np.save(full, np.zeros(100_000))
-    with pytest.raises(FileNotFoundError, match=r"frame\.png'$"), atomic_file(tmp_path / "copy.png"):
+    with (
+        pytest.raises(FileNotFoundError, match=r"frame\.png'$"),
+        atomic_file(tmp_path / "copy.png"),
+    ):
         (tmp_path / "frame.png").read_bytes()
 
     assert [item.name for item in tmp_path.iterdir()] == ["taken"]
 
 
 def test_what_cannot_be_opened_is_named(tmp_path):
-    """By whatever opens the temporary file: Python, numpy or PyAV. A name that is too long is refused to root too."""
+    """By whatever opens the temporary file: Python, numpy or PyAV. A name that is too long is
+    refused to root too.
+    """
     path = tmp_path / f"{'a' * 300}.mp4"
     frames = [np.zeros((16, 16, 3), np.uint8)]
 
@@ -141,7 +150,9 @@ def test_what_cannot_be_opened_is_named(tmp_path):
 
 
 def test_a_folder_appears_whole(tmp_path):
-    """Nothing stands under the name before the end; an error leaves nothing, a folder with content is refused."""
+    """Nothing stands under the name before the end; an error leaves nothing, a folder with content
+    is refused.
+    """
     with atomic_folder(tmp_path / "out") as unfinished:
         (unfinished / "file").write_text("text")
         assert not (tmp_path / "out").exists()
@@ -168,9 +179,13 @@ def test_a_folder_that_a_killed_process_left_goes_at_the_next_call(tmp_path):
 
 
 def test_folders_in_hand_stay(tmp_path):
-    """Of this machine while the process lives, of another machine until it has been silent for an hour."""
+    """Of this machine while the process lives, of another machine until it has been silent for an
+    hour.
+    """
     host = socket.gethostname().replace(".", "-")
-    ours, theirs, silent = (tmp_path / f".out.{name}.{os.getppid()}.tmp" for name in (host, "elsewhere", "gone"))
+    ours, theirs, silent = (
+        tmp_path / f".out.{name}.{os.getppid()}.tmp" for name in (host, "elsewhere", "gone")
+    )
     for folder in (ours, theirs, silent):
         folder.mkdir()
     os.utime(silent, (time.time() - 4000,) * 2)
@@ -196,11 +211,21 @@ def test_a_scratch_folder_goes_whatever_happens(tmp_path):
 
 
 def test_files_that_killed_processes_left_are_swept(tmp_path):
-    """Those of the dead go, of this machine and of silent others; what is being written, and what is nobody's, stays."""
+    """Those of the dead go, of this machine and of silent others; what is being written, and what
+    is nobody's, stays.
+    """
     kill_in_the_middle("atomic_file", tmp_path / "000001.npz")
     (left,) = tmp_path.iterdir()
-    silent, theirs = (tmp_path / f".000002.npz.0a1b2c3d.{host}.77.tmp.ply" for host in ("gone", "elsewhere"))
-    for name in (silent, theirs, tmp_path / ".hidden", tmp_path / ".notes.tmp", tmp_path / "000003.npz"):
+    silent, theirs = (
+        tmp_path / f".000002.npz.0a1b2c3d.{host}.77.tmp.ply" for host in ("gone", "elsewhere")
+    )
+    for name in (
+        silent,
+        theirs,
+        tmp_path / ".hidden",
+        tmp_path / ".notes.tmp",
+        tmp_path / "000003.npz",
+    ):
         name.touch()
     os.utime(silent, (time.time() - 4000,) * 2)
 

@@ -1,4 +1,6 @@
-"""How a video was coded: read back from what x264 wrote into it, and enough to code the same frames to the same bytes."""
+"""How a video was coded: read back from what x264 wrote into it, and enough to code the same frames
+to the same bytes.
+"""
 
 from fractions import Fraction
 
@@ -11,7 +13,10 @@ from ggvs_eval.files.coding import read_coding
 from ggvs_eval.files.video import X264, VideoFrames, write_video
 
 STILL = np.kron(np.random.default_rng(0).integers(40, 200, (6, 8, 3)), np.ones((8, 8, 1)))
-FRAMES = [(STILL + np.random.default_rng(t).integers(0, 9, STILL.shape)).astype(np.uint8) for t in range(6)]
+FRAMES = [
+    (STILL + np.random.default_rng(t).integers(0, 9, STILL.shape)).astype(np.uint8)
+    for t in range(6)
+]
 
 
 def write_with(path, codec, **options):
@@ -26,7 +31,9 @@ def write_with(path, codec, **options):
 
 @pytest.mark.parametrize("crf", [0, 12, 23])
 def test_frames_coded_with_what_was_read_are_the_same_bytes(tmp_path, crf):
-    """Rate factor, settings, size and bytes of frames come back; of a part of the video, those of that part."""
+    """Rate factor, settings, size and bytes of frames come back; of a part of the video, those of
+    that part.
+    """
     settings = f"{X264}:keyint=4:bframes=1:subme=5:aq-strength=0.8"
     write_video(tmp_path / "first.mp4", FRAMES, 30, crf, settings)
     coding = read_coding(tmp_path / "first.mp4", range(6))
@@ -52,7 +59,10 @@ def test_what_cannot_be_coded_again_has_a_reason(tmp_path):
     write_with(tmp_path / "rate.mp4", "libx264", b="400000")
     (tmp_path / "text.mp4").write_text("no video")
 
-    assert read_coding(tmp_path / "mpeg4.mp4", range(6)).unknown == "coded by another encoder than x264"
+    assert (
+        read_coding(tmp_path / "mpeg4.mp4", range(6)).unknown
+        == "coded by another encoder than x264"
+    )
     assert read_coding(tmp_path / "rate.mp4", range(6)).unknown == "coded without a rate factor"
     with pytest.raises(CaptureError, match="wanted a video"):
         read_coding(tmp_path / "text.mp4", range(6))

@@ -28,7 +28,9 @@ def test_every_bit_comes_back(shape):
     maps = unpack(packed(depth=depth, confidence=confidence))
 
     assert list(maps) == ["depth", "confidence"]
-    assert np.array_equal(maps["depth"].view(np.uint32), np.ascontiguousarray(depth).view(np.uint32))
+    assert np.array_equal(
+        maps["depth"].view(np.uint32), np.ascontiguousarray(depth).view(np.uint32)
+    )
     assert np.array_equal(maps["confidence"], confidence)
 
 
@@ -45,7 +47,12 @@ def test_plain_arrays_stay_as_they_are():
 
 
 @pytest.mark.parametrize(
-    "change", [{"size": np.array([600, 80])}, {"size": np.array([2**20, 2**20])}, {"depth.float32.zstd": np.zeros(9, np.uint8)}]
+    "change",
+    [
+        {"size": np.array([600, 80])},
+        {"size": np.array([2**20, 2**20])},
+        {"depth.float32.zstd": np.zeros(9, np.uint8)},
+    ],
 )
 def test_damage_is_an_error(change):
     with pytest.raises((ValueError, OSError)):

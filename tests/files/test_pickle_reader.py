@@ -1,4 +1,6 @@
-"""Pickles are read as data: nothing in them runs, and what one claims ends with the process that reads it."""
+"""Pickles are read as data: nothing in them runs, and what one claims ends with the process that
+reads it.
+"""
 
 import pickle
 import struct
@@ -15,12 +17,15 @@ from helpers.hostile import Hostile
 
 KERNEL = np.arange(24, dtype=np.float32).reshape(1, 2, 3, 4)
 PLAIN = {"trunk": {"kernel": KERNEL}, "steps": [1, 2.5, None, True, "x", 1 << 70]}
-DOUBLED = b")" + b"".join(b"\x94h" + bytes([level]) + b"\x86" for level in range(60))  # hashed in 2^60 steps
+# hashed in 2^60 steps
+DOUBLED = b")" + b"".join(b"\x94h" + bytes([level]) + b"\x86" for level in range(60))
 BOMBS = {
     "memo at a huge index": b"\x80\x04Nr\xff\xff\xff\x7f.",
     "bytes that are not there": b"\x80\x04\x8e" + struct.pack("<Q", 1 << 36) + b"x.",
     "a key that is hashed for ever": b"\x80\x04}" + DOUBLED + b"K\x01s.",
-    "lists that share their lists": b"\x80\x04(]" + b"".join(b"\x94(" + bytes([104, n]) * 99 + b"l" for n in range(4)) + b"l.",
+    "lists that share their lists": b"\x80\x04(]"
+    + b"".join(b"\x94(" + bytes([104, n]) * 99 + b"l" for n in range(4))
+    + b"l.",
     "deep lists": b"\x80\x04" + b"(" * 400_000 + b"l" * 400_000 + b".",
 }
 
@@ -36,8 +41,21 @@ class StateOfArray:
 
 
 DAMAGED = [
-    *(pickle.dumps(StateOfArray(1, shape, np.dtype("f8"), False, b"")) for shape in ((1 << 40, 1 << 40), ((),))),
-    *(b"\x80\x04" + rest for rest in (b"h\x07.", b"a.", b"\x82\x01.", b"U\x01aQ.", b"]", b"I" + b"9" * 100_000 + b"\n.")),
+    *(
+        pickle.dumps(StateOfArray(1, shape, np.dtype("f8"), False, b""))
+        for shape in ((1 << 40, 1 << 40), ((),))
+    ),
+    *(
+        b"\x80\x04" + rest
+        for rest in (
+            b"h\x07.",
+            b"a.",
+            b"\x82\x01.",
+            b"U\x01aQ.",
+            b"]",
+            b"I" + b"9" * 100_000 + b"\n.",
+        )
+    ),
     *(b"\x80\x09N.", b"no pickle", b""),
     *(pickle.dumps([{"K": np.array([value])}]) for value in (object(), "text")),
     pickle.dumps(np.ndarray),
@@ -83,19 +101,31 @@ def test_plain_data_comes_back(protocol, tmp_path):
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_nothing_runs(tmp_path, protocol):
-    """A call is refused by its name before it happens, in a list, as an array's content and behind a harmless class."""
+    """A call is refused by its name before it happens, in a list, as an array's content and behind
+    a harmless class.
+    """
     mark = tmp_path / "mark"
-    for value in ([Hostile(mark)], np.array([Hostile(mark)], dtype=object), OrderedDict(a=Hostile(mark))):
+    for value in (
+        [Hostile(mark)],
+        np.array([Hostile(mark)], dtype=object),
+        OrderedDict(a=Hostile(mark)),
+    ):
         (tmp_path / "x.pkl").write_bytes(pickle.dumps(value, protocol))
-        with pytest.raises(ValueError, match=r"the name \S+, which|an array that is not made of numbers"):
+        with pytest.raises(
+            ValueError, match=r"the name \S+, which|an array that is not made of numbers"
+        ):
             read_pickle(tmp_path / "x.pkl")
 
     assert not mark.exists()
 
 
-@pytest.mark.parametrize("target", [b"cnumpy\nndarray\n", b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"]", b"}"])
+@pytest.mark.parametrize(
+    "target", [b"cnumpy\nndarray\n", b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"]", b"}"]
+)
 def test_states_change_no_stand_in(target, tmp_path):
     """A pickle cannot set attributes of what its own or later arrays are made by."""
-    (tmp_path / "x.pkl").write_bytes(b"\x80\x02" + target + b"}X\x0c\x00\x00\x00__setstate__K\x01sb.")
+    (tmp_path / "x.pkl").write_bytes(
+        b"\x80\x02" + target + b"}X\x0c\x00\x00\x00__setstate__K\x01sb."
+    )
     with pytest.raises((AttributeError, TypeError, ValueError)):
         read_pickle(tmp_path / "x.pkl")

@@ -19,6 +19,8 @@ def test_a_colour_profile_is_named(tmp_path, suffix):
     header = read_picture_header(tmp_path / f"other{suffix}")
 
     assert header.profile == ImageCms.getProfileDescription(lab).strip()
-    assert header.conversions == [f"as if they were sRGB, though their colour profile is {header.profile}"]
+    assert header.conversions == [
+        f"as if they were sRGB, though their colour profile is {header.profile}"
+    ]
     for name in ("srgb", "plain"):
         assert read_picture_header(tmp_path / f"{name}{suffix}").conversions == []

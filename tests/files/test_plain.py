@@ -16,7 +16,8 @@ from helpers.refusals import refused
 
 
 def make_socket(path: Path) -> None:
-    os.mknod(path, 0o600 | stat.S_IFSOCK)  # a server's path may have 107 bytes at most, that of a temporary folder has more
+    # a server's path may have 107 bytes at most, that of a temporary folder has more
+    os.mknod(path, 0o600 | stat.S_IFSOCK)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +31,9 @@ def make_socket(path: Path) -> None:
     ],
 )
 def test_what_is_no_plain_file_is_refused_at_once(make, kind, tmp_path):
-    """By whatever reads whole files; nobody waits for a writer, and nothing is taken into memory."""
+    """By whatever reads whole files; nobody waits for a writer, and nothing is taken into
+    memory.
+    """
     file = tmp_path / "file.png"
     make(file)
 
@@ -64,7 +67,11 @@ def test_plain_files_are_read(tmp_path):
     (tmp_path / "b").symlink_to("a")
 
     assert check_plain(tmp_path / "b") == (tmp_path / "a").stat().st_size
-    assert read_plain_text(tmp_path / "b", 13) == (tmp_path / "a").read_text(encoding="utf-8") == "Größe\n1\n2\n"
+    assert (
+        read_plain_text(tmp_path / "b", 13)
+        == (tmp_path / "a").read_text(encoding="utf-8")
+        == "Größe\n1\n2\n"
+    )
 
 
 @pytest.mark.parametrize("key", ["a." * 30_000 + "b", "a . " * 30_000 + "b", '"a".' * 30_000 + "b"])

@@ -14,10 +14,11 @@ from ggvs_eval.files.video import VideoFrames, write_video
 from helpers.refusals import refused
 
 N_FRAMES = 40
-# x264 settings that make frame numbers hard to keep: reordering, references across key frames, no key frames at all.
+# x264 settings that make frame numbers hard to keep: reordering, references across key frames, no
+# key frames at all.
 GROUPS = {
     "closed groups with B-frames": "bframes=5:b-adapt=0:keyint=12:min-keyint=12",
-    "open groups with B-frames": "bframes=3:b-adapt=0:b-pyramid=normal:open-gop=1:keyint=12:min-keyint=12",
+    "open groups with B-frames": "bframes=3:b-adapt=0:b-pyramid=normal:open-gop=1:keyint=12:min-keyint=12",  # noqa: E501
     "key frames only": "keyint=1",
     "intra refresh": "intra-refresh=1:bframes=0:keyint=12",
 }
@@ -48,7 +49,11 @@ def encode(path: Path, x264_params: str, colour: str = "bt709", value_range: str
         stream.options = {"crf": "4", "x264-params": x264_params}
         for index in range(N_FRAMES):
             rgb = av.VideoFrame.from_ndarray(make_frame(index), format="rgb24")
-            container.mux(stream.encode(rgb.reformat(format="yuv420p", dst_colorspace=space, dst_color_range=limits)))
+            container.mux(
+                stream.encode(
+                    rgb.reformat(format="yuv420p", dst_colorspace=space, dst_color_range=limits)
+                )
+            )
         container.mux(stream.encode())
 
 
@@ -60,10 +65,15 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_written_video_reads_back(video):
-    """A written video has its size, rate and number of frames, and colours within the loss of 4:2:0 coding, without bias."""
+    """A written video has its size, rate and number of frames, and colours within the loss of 4:2:0
+    coding, without bias.
+    """
     frames = VideoFrames(video)
     assert (frames.n_frames, frames.size, frames.fps) == (N_FRAMES, (64, 48), 30.0)
-    errors = [image.astype(int) - make_frame(index) for index, image in enumerate(frames.frames(0, N_FRAMES))]
+    errors = [
+        image.astype(int) - make_frame(index)
+        for index, image in enumerate(frames.frames(0, N_FRAMES))
+    ]
     assert len(errors) == N_FRAMES
     assert np.std(errors) < 2.5
     assert np.abs(np.mean(errors, axis=(0, 1, 2))).max() < 0.5
@@ -90,7 +100,9 @@ def test_equal_frames_give_equal_bytes(video, tmp_path):
 
 @pytest.mark.parametrize("x264_params", GROUPS.values(), ids=list(GROUPS))
 def test_frame_numbers_survive_seeking(tmp_path, x264_params):
-    """Whatever the order of coding, frame t after a seek is bit for bit frame t of the whole video."""
+    """Whatever the order of coding, frame t after a seek is bit for bit frame t of the
+    whole video.
+    """
     path = tmp_path / "video.mp4"
     encode(path, x264_params)
     frames = VideoFrames(path)
@@ -98,7 +110,9 @@ def test_frame_numbers_survive_seeking(tmp_path, x264_params):
     assert frame_numbers(iter(whole)) == list(range(N_FRAMES))
     for start in range(0, N_FRAMES, 3):
         window = list(frames.frames(start, min(start + 2, N_FRAMES)))
-        assert all(np.array_equal(image, whole[start + offset]) for offset, image in enumerate(window))
+        assert all(
+            np.array_equal(image, whole[start + offset]) for offset, image in enumerate(window)
+        )
         assert len(window) == min(2, N_FRAMES - start)
 
 
@@ -108,12 +122,17 @@ def test_colour_follows_the_tags(tmp_path, colour, value_range):
     """Both colour matrices and both value ranges decode to the colours that were encoded."""
     path = tmp_path / "video.mp4"
     encode(path, "keyint=12", colour, value_range)
-    errors = [image.astype(float) - make_frame(index) for index, image in enumerate(VideoFrames(path).frames(0, N_FRAMES))]
+    errors = [
+        image.astype(float) - make_frame(index)
+        for index, image in enumerate(VideoFrames(path).frames(0, N_FRAMES))
+    ]
     assert np.abs(np.mean(errors, axis=(0, 1, 2))).max() < 2.0
 
 
 def test_empty_range_and_frames_out_of_range(video):
-    """No frames are an empty sequence; frames past the end are an error that tells how many there are."""
+    """No frames are an empty sequence; frames past the end are an error that tells how many there
+    are.
+    """
     assert list(VideoFrames(video).frames(N_FRAMES, N_FRAMES)) == []
     with refused(CaptureError, "38..40", "has 40"):
         next(VideoFrames(video).frames(38, 41))
@@ -124,7 +143,10 @@ def test_empty_range_and_frames_out_of_range(video):
     [
         ([], "at least one frame"),
         ([np.zeros((45, 64, 3), np.uint8)], "even width and height, got 64 x 45"),
-        ([make_frame(0), make_frame(1, width=62)], r"frame 1 does not fit.*\(48, 64, 3\).*\(48, 62, 3\)"),
+        (
+            [make_frame(0), make_frame(1, width=62)],
+            r"frame 1 does not fit.*\(48, 64, 3\).*\(48, 62, 3\)",
+        ),
         ([np.zeros((48, 64, 3), np.float32)], "frame 0 does not fit.*float32"),
     ],
 )
@@ -144,34 +166,49 @@ def test_truncated_video(video, tmp_path):
 
 
 def test_truncated_video_with_leading_index(video, tmp_path):
-    """A file whose index lies in front but whose data end early tells how many of how many frames are whole."""
+    """A file whose index lies in front but whose data end early tells how many of how many frames
+    are whole.
+    """
     import av
 
     path = tmp_path / "cam05.mp4"
-    with av.open(str(video)) as source, av.open(str(path), "w", options={"movflags": "faststart"}) as target:
+    with (
+        av.open(str(video)) as source,
+        av.open(str(path), "w", options={"movflags": "faststart"}) as target,
+    ):
         stream = target.add_stream_from_template(source.streams.video[0])
         for packet in source.demux(video=0):
             if packet.dts is not None:
                 packet.stream = stream
                 target.mux(packet)
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * 0.7)])
-    with pytest.raises(CaptureError, match=r"cam05\.mp4: damaged, \d+ of 40 frames.*the file ends after"):
+    with pytest.raises(
+        CaptureError, match=r"cam05\.mp4: damaged, \d+ of 40 frames.*the file ends after"
+    ):
         _ = VideoFrames(path).n_frames
 
 
 def test_damaged_frame_stops_the_stream(video, tmp_path):
-    """Frames before a damaged one are decoded, then an error says which one it was; concealed frames are never handed out."""
+    """Frames before a damaged one are decoded, then an error says which one it was; concealed
+    frames are never handed out.
+    """
     import av
 
     with av.open(str(video)) as container:
-        packet = next(packet for packet in container.demux(video=0) if (packet.pts or 0) * packet.time_base * 30 == 14)
+        packet = next(
+            packet
+            for packet in container.demux(video=0)
+            if (packet.pts or 0) * packet.time_base * 30 == 14
+        )
     content = bytearray(video.read_bytes())
     begin = packet.pos or 0
     content[begin : begin + packet.size] = bytes(packet.size)
     path = tmp_path / "cam05.mp4"
     path.write_bytes(content)
     decoded: list[Image8] = []
-    with pytest.raises(CaptureError, match=r"cam05\.mp4: damaged, (\d|1[0-4]) of 40 frames can be decoded") as caught:
+    with pytest.raises(
+        CaptureError, match=r"cam05\.mp4: damaged, (\d|1[0-4]) of 40 frames can be decoded"
+    ) as caught:
         decoded.extend(VideoFrames(path).frames(0, N_FRAMES))
     whole = list(VideoFrames(video).frames(0, N_FRAMES))
     assert "damaged, 0 of" not in str(caught.value)
@@ -179,7 +216,9 @@ def test_damaged_frame_stops_the_stream(video, tmp_path):
 
 
 def test_other_containers_are_refused(tmp_path):
-    """A container without an index of frames is refused with the command that copies it into MP4."""
+    """A container without an index of frames is refused with the command that copies it
+    into MP4.
+    """
     import av
 
     path = tmp_path / "cam00.mp4"
@@ -199,7 +238,9 @@ def test_missing_video(tmp_path):
 
 
 def test_digest_sees_every_frame_of_a_large_file(tmp_path):
-    """A stack of 24 frames, 12 MB, of which the first, a middle or the last one is replaced, has another digest each time."""
+    """A stack of 24 frames, 12 MB, of which the first, a middle or the last one is replaced, has
+    another digest each time.
+    """
     frames = np.random.default_rng(0).integers(0, 256, (24, 360, 480, 3), dtype=np.uint8)
     stack, digests = tmp_path / "stack.npy", set()
     for replaced in (None, 0, 9, 23):
@@ -212,30 +253,47 @@ def test_digest_sees_every_frame_of_a_large_file(tmp_path):
 
 
 def trim(source: Path, target: Path, first: int, from_start: bool) -> None:
-    """Cut a video without encoding it again, as `ffmpeg -ss -c copy` and phones do: the lead-in stays, hidden by an edit list.
+    """Cut a video without encoding it again, as `ffmpeg -ss -c copy` and phones do: the lead-in
+    stays, hidden by an edit list.
 
-    It begins at the last key frame, or at the start where key frames lead nowhere by themselves (intra refresh).
+    It begins at the last key frame, or at the start where key frames lead nowhere by themselves
+    (intra refresh).
     """
     import av
 
-    with av.open(str(source)) as given, av.open(str(target), "w", options={"avoid_negative_ts": "disabled"}) as made:
+    with (
+        av.open(str(source)) as given,
+        av.open(str(target), "w", options={"avoid_negative_ts": "disabled"}) as made,
+    ):
         stream = given.streams.video[0]
         copy = made.add_stream_from_template(stream)
         packets = [packet for packet in given.demux(stream) if packet.dts is not None]
         start = sorted(packet.pts for packet in packets)[first]
-        keys = [index for index, packet in enumerate(packets) if packet.is_keyframe and packet.pts <= start]
+        keys = [
+            index
+            for index, packet in enumerate(packets)
+            if packet.is_keyframe and packet.pts <= start
+        ]
         for packet in packets[0 if from_start else keys[-1] :]:
             packet.pts, packet.dts, packet.stream = packet.pts - start, packet.dts - start, copy
             made.mux(packet)
 
 
-# With intra refresh FFmpeg drops the lead-in of a cut at a point of recovery, from which nothing can be decoded exactly.
-CUTS = [(group, first) for group in GROUPS for first in (1, 12, 13, 30) if group != "intra refresh" or first not in (12, 13)]
+# With intra refresh FFmpeg drops the lead-in of a cut at a point of recovery, from which nothing
+# can be decoded exactly.
+CUTS = [
+    (group, first)
+    for group in GROUPS
+    for first in (1, 12, 13, 30)
+    if group != "intra refresh" or first not in (12, 13)
+]
 
 
 @pytest.mark.parametrize(("group", "first"), CUTS)
 def test_a_trimmed_video_has_the_frames_that_it_shows(group, first, tmp_path):
-    """Cut at a key frame, next to one and between: frame t is the t-th that is shown, from wherever reading begins."""
+    """Cut at a key frame, next to one and between: frame t is the t-th that is shown, from wherever
+    reading begins.
+    """
     encode(tmp_path / "whole.mp4", GROUPS[group])
     trim(tmp_path / "whole.mp4", tmp_path / "cut.mp4", first, from_start=group == "intra refresh")
     video = VideoFrames(tmp_path / "cut.mp4")
@@ -253,7 +311,9 @@ def test_interlaced_video_is_told(tmp_path):
     write_video(tmp_path / "plain.mp4", [np.full((48, 64, 3), 90, np.uint8)] * 2, 25)
     with av.open(str(tmp_path / "woven.mp4"), "w") as container:
         stream = container.add_stream(
-            "libx264", rate=25, options={"flags": "+ildct+ilme", "field_order": "tt", "x264-params": "tff=1"}
+            "libx264",
+            rate=25,
+            options={"flags": "+ildct+ilme", "field_order": "tt", "x264-params": "tff=1"},
         )
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for level in (40, 90, 140):
@@ -277,7 +337,9 @@ def test_interlaced_video_is_told(tmp_path):
     ids=["mirrored", "upside down and mirrored", "turned", "transposed"],
 )
 def test_a_display_matrix_is_applied_as_ffmpeg_does(tmp_path, matrix, shown):
-    """Turns and mirrorings that the header of a track states; the pixels are those of the file without."""
+    """Turns and mirrorings that the header of a track states; the pixels are those of the file
+    without.
+    """
     image = np.zeros((48, 64, 3), np.uint8)
     image[:24, :32], image[24:] = (200, 40, 40), (40, 40, 200)
     write_video(tmp_path / "plain.mp4", [image], 30)
@@ -286,6 +348,8 @@ def test_a_display_matrix_is_applied_as_ffmpeg_does(tmp_path, matrix, shown):
     entries = np.array([*matrix[:2], 0, *matrix[2:]], ">i4") << 16
     content[start : start + 20] = entries.astype(">i4").tobytes()
     (tmp_path / "turned.mp4").write_bytes(content)
-    plain, turned = (next(VideoFrames(tmp_path / f"{name}.mp4").frames(0, 1)) for name in ("plain", "turned"))
+    plain, turned = (
+        next(VideoFrames(tmp_path / f"{name}.mp4").frames(0, 1)) for name in ("plain", "turned")
+    )
     assert np.array_equal(turned, shown(plain))
     assert VideoFrames(tmp_path / "turned.mp4").size == turned.shape[1::-1]

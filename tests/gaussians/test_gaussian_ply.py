@@ -30,38 +30,63 @@ def test_round_trip(degree, tmp_path):
     write_ply(tmp_path / "cloud.ply", cloud)
     read = read_ply(tmp_path / "cloud.ply")
 
-    assert all(torch.equal(read.parameters()[name], tensor) for name, tensor in cloud.parameters().items())
+    assert all(
+        torch.equal(read.parameters()[name], tensor) for name, tensor in cloud.parameters().items()
+    )
     write_ply(tmp_path / "nothing.ply", random_cloud(0, degree, dtype=torch.float32))
     assert len(read_ply(tmp_path / "nothing.ply")) == 0
 
 
 def test_layout_is_that_of_the_field(tmp_path):
-    """62 floats a row, in the order of 3D Gaussian splatting's files; trimesh reads the same columns by its own parser."""
+    """62 floats a row, in the order of 3D Gaussian splatting's files; trimesh reads the same
+    columns by its own parser.
+    """
     import trimesh
 
     cloud = random_cloud(4, degree=3, dtype=torch.float32)
     write_ply(tmp_path / "cloud.ply", cloud)
-    header = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")[0].decode().splitlines()
+    header = (
+        (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")[0].decode().splitlines()
+    )
     names = [line.split()[-1] for line in header if line.startswith("property float")]
     data = trimesh.load(tmp_path / "cloud.ply").metadata["_ply_raw"]["vertex"]["data"]
 
     assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     assert names[9:54] == [f"f_rest_{n}" for n in range(45)]
-    assert names[54:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    np.testing.assert_array_equal(np.ravel(data["f_rest_17"]), cloud.sh[:, 3, 1])  # channel-major: 15 of red, then green's third
+    assert names[54:] == [
+        "opacity",
+        "scale_0",
+        "scale_1",
+        "scale_2",
+        "rot_0",
+        "rot_1",
+        "rot_2",
+        "rot_3",
+    ]
+    # channel-major: 15 of red, then green's third
+    np.testing.assert_array_equal(np.ravel(data["f_rest_17"]), cloud.sh[:, 3, 1])
     np.testing.assert_array_equal(np.ravel(data["rot_0"]), cloud.quaternions[:, 0])
 
 
 def test_other_orders_and_kinds_of_numbers(tmp_path):
-    """Doubles, big-endian, other properties among them in another order, comments, elements behind: as other programs write."""
+    """Doubles, big-endian, other properties among them in another order, comments, elements behind:
+    as other programs write.
+    """
     names = [f"rot_{n}" for n in (3, 2, 1, 0)] + [f"f_dc_{n}" for n in (2, 1, 0)]
     names += ["opacity", *(f"scale_{n}" for n in (2, 1, 0)), *"zyx"]
     table = np.zeros(2, [(name, ">f8") for name in names] + [("label", ">i2")])
     table["x"], table["rot_0"], table["opacity"], table["label"] = (1.5, 2.5), 1.0, 0.25, 7
     properties = "".join(f"property double {name}\n" for name in names)
-    header = f"ply\nformat binary_big_endian 1.0\ncomment by hand\nelement vertex 2\n{properties}property short label\n"
+    header = (
+        f"ply\nformat binary_big_endian 1.0\ncomment by hand\nelement vertex "
+        f"2\n{properties}property short label\n"
+    )
     file = tmp_path / "other.ply"
-    file.write_bytes(header.encode() + b"element face 0\nproperty list uchar int i\nend_header\n" + table.tobytes())
+    file.write_bytes(
+        header.encode()
+        + b"element face 0\nproperty list uchar int i\nend_header\n"
+        + table.tobytes()
+    )
 
     cloud = read_ply(file)
     assert cloud.means.tolist() == [[1.5, 0, 0], [2.5, 0, 0]]
@@ -79,17 +104,45 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
     ("before", "after", "message"),
     [
         (b"ply\n", b"obj\n", "wanted a .ply file, got another first line"),
-        (b"binary_little_endian", b"ascii", "wanted a binary .ply, its second line says 'format ascii 1.0'"),
-        (b"element vertex 5", b"element face 5", "wanted `element vertex N` with its Gaussians first, got 'element face 5'"),
+        (
+            b"binary_little_endian",
+            b"ascii",
+            "wanted a binary .ply, its second line says 'format ascii 1.0'",
+        ),
+        (
+            b"element vertex 5",
+            b"element face 5",
+            "wanted `element vertex N` with its Gaussians first, got 'element face 5'",
+        ),
         (b"element vertex 5", b"element vertex -5", "got 'element vertex -5'"),
-        (b"element vertex 5", b"element vertex 6", r"says 6 Gaussians in 624 bytes, the file has 520 for them"),
+        (
+            b"element vertex 5",
+            b"element vertex 6",
+            r"says 6 Gaussians in 624 bytes, the file has 520 for them",
+        ),
         (b"element vertex 5", b"element vertex 99999999999999", "says 99999999999999 Gaussians"),
         (b"element vertex 5", b"element vertex " + 40 * b"9", "wanted `element vertex N`"),
-        (b"property float opacity", b"property list uchar float opacity", "wanted properties of one number each"),
-        (b"property float opacity", b"property float capacity", "wanted a cloud of Gaussians with opacity, got x"),
+        (
+            b"property float opacity",
+            b"property list uchar float opacity",
+            "wanted properties of one number each",
+        ),
+        (
+            b"property float opacity",
+            b"property float capacity",
+            "wanted a cloud of Gaussians with opacity, got x",
+        ),
         (b"property float opacity", b"property float x", "wanted each property once in the header"),
-        (b"property float f_rest_8", b"property float f_rest_9", "wanted f_rest_0 to f_rest_N of 0, 9, 24, 45, 72 in all, got 9"),
-        (b"end_header", b"and_header", "the header of this .ply has no end_header in its first 64 kB"),
+        (
+            b"property float f_rest_8",
+            b"property float f_rest_9",
+            "wanted f_rest_0 to f_rest_N of 0, 9, 24, 45, 72 in all, got 9",
+        ),
+        (
+            b"end_header",
+            b"and_header",
+            "the header of this .ply has no end_header in its first 64 kB",
+        ),
     ],
 )
 def test_broken_headers(cloud_file, before, after, message):
@@ -115,7 +168,9 @@ def test_broken_contents(cloud_file, tmp_path):
 
 @pytest.mark.fuzz
 def test_damaged_files_are_read_or_refused_in_one_line(cloud_file):
-    """400 files with bytes flipped, cut, inserted, repeated: a finite cloud, or a message of one line that names the file."""
+    """400 files with bytes flipped, cut, inserted, repeated: a finite cloud, or a message of one
+    line that names the file.
+    """
     content, refusals = cloud_file.read_bytes(), []
     for seed in range(400):
         cloud_file.write_bytes(damaged(content, random_edit(Random(seed))))
@@ -142,7 +197,9 @@ def packed(parts: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 def write_compressed(path: Path, cloud, colour_bounds: bool) -> None:
     """The cloud as SuperSplat compresses it, in chunks of 256."""
-    means, scales, turns, logits, sh = (tensor.numpy().astype(np.float64) for tensor in cloud.parameters().values())
+    means, scales, turns, logits, sh = (
+        tensor.numpy().astype(np.float64) for tensor in cloud.parameters().values()
+    )
     turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
     colours = sh[:, 0] * CONSTANT + 0.5
     chunks, vertices = [], []
@@ -151,24 +208,49 @@ def write_compressed(path: Path, cloud, colour_bounds: bool) -> None:
         bounded = [means[rows], scales[rows], *([colours[rows]] if colour_bounds else [])]
         ends = [(each.min(axis=0), each.max(axis=0)) for each in bounded]
         chunks.append(np.concatenate([value for low, high in ends for value in (low, high)]))
-        steps = [(each - low) / np.maximum(high - low, 1e-9) for each, (low, high) in zip(bounded, ends, strict=True)]
+        steps = [
+            (each - low) / np.maximum(high - low, 1e-9)
+            for each, (low, high) in zip(bounded, ends, strict=True)
+        ]
         largest = np.abs(turns[rows]).argmax(axis=1)
         signs = np.sign(turns[rows][np.arange(len(largest)), largest])[:, None]
-        others = np.stack([np.delete(turn, part) for turn, part in zip(signs * turns[rows], largest, strict=True)])
-        words = packed(others / np.sqrt(2) + 0.5, (10, 10, 10)) | largest.astype(np.uint32) << np.uint32(30)
-        rgba = np.column_stack([steps[2] if colour_bounds else colours[rows], 1 / (1 + np.exp(-logits[rows]))])
+        others = np.stack(
+            [np.delete(turn, part) for turn, part in zip(signs * turns[rows], largest, strict=True)]
+        )
+        words = packed(others / np.sqrt(2) + 0.5, (10, 10, 10)) | largest.astype(
+            np.uint32
+        ) << np.uint32(30)
+        rgba = np.column_stack(
+            [steps[2] if colour_bounds else colours[rows], 1 / (1 + np.exp(-logits[rows]))]
+        )
         vertices.append(
-            np.column_stack([packed(steps[0], (11, 10, 11)), words, packed(steps[1], (11, 10, 11)), packed(rgba, (8,) * 4)])
+            np.column_stack(
+                [
+                    packed(steps[0], (11, 10, 11)),
+                    words,
+                    packed(steps[1], (11, 10, 11)),
+                    packed(rgba, (8,) * 4),
+                ]
+            )
         )
     rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(means), -1)
     kinds = ["", "scale_", ""][: 3 if colour_bounds else 2]
     axes = ["xyz", "xyz", "rgb"]
-    names = [f"{end}_{kind}{axis}" for kind, letters in zip(kinds, axes, strict=False) for end in ENDS for axis in letters]
+    names = [
+        f"{end}_{kind}{axis}"
+        for kind, letters in zip(kinds, axes, strict=False)
+        for end in ENDS
+        for axis in letters
+    ]
     header = f"ply\nformat binary_little_endian 1.0\nelement chunk {len(chunks)}\n"
     header += "".join(f"property float {name}\n" for name in names)
     header += f"element vertex {len(means)}\n"
-    header += "".join(f"property uint packed_{n}\n" for n in ("position", "rotation", "scale", "color"))
-    header += f"element sh {len(means)}\n" + "".join(f"property uchar f_rest_{n}\n" for n in range(rest.shape[1]))
+    header += "".join(
+        f"property uint packed_{n}\n" for n in ("position", "rotation", "scale", "color")
+    )
+    header += f"element sh {len(means)}\n" + "".join(
+        f"property uchar f_rest_{n}\n" for n in range(rest.shape[1])
+    )
     content = np.float32(chunks).tobytes() + np.concatenate(vertices).astype("<u4").tobytes()
     content += np.clip((rest / 8 + 0.5) * 256, 0, 255).astype(np.uint8).tobytes()
     path.write_bytes(header.encode() + b"end_header\n" + content)
@@ -176,7 +258,9 @@ def write_compressed(path: Path, cloud, colour_bounds: bool) -> None:
 
 @pytest.mark.parametrize("colour_bounds", [True, False])
 def test_compressed_clouds_are_read(tmp_path, colour_bounds):
-    """Within the steps of their bits, of more Gaussians than a chunk holds; those of gsplat and of older SuperSplat alike."""
+    """Within the steps of their bits, of more Gaussians than a chunk holds; those of gsplat and of
+    older SuperSplat alike.
+    """
     cloud = random_cloud(300, degree=1, dtype=torch.float32)
     write_compressed(tmp_path / "cloud.compressed.ply", cloud, colour_bounds)
     read = read_ply(tmp_path / "cloud.compressed.ply")
@@ -198,7 +282,11 @@ def test_compressed_clouds_are_read(tmp_path, colour_bounds):
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        (b"element chunk 2", b"element chunk 3", "wanted 2 chunks, .* of 300 compressed Gaussians, got 3"),
+        (
+            b"element chunk 2",
+            b"element chunk 3",
+            "wanted 2 chunks, .* of 300 compressed Gaussians, got 3",
+        ),
         (b"min_y", b"mix_y", "no min_y"),
         (b"packed_scale", b"picked_scale", "no packed_scale"),
         (b"element sh 300", b"element sh 301", "harmonics of 300 compressed"),
@@ -224,12 +312,16 @@ def test_broken_compressed_clouds(tmp_path, before, after, message):
     ],
 )
 def test_gaussians_that_are_drawn_otherwise_are_refused(cloud_file, names, kind):
-    """Properties of other methods are named, and what to do; still Gaussians are not made of them."""
+    """Properties of other methods are named, and what to do; still Gaussians are not made
+    of them.
+    """
     content = cloud_file.read_bytes().replace(
         b"end_header", b"".join(b"property float %s\n" % n.encode() for n in names) + b"end_header"
     )
     cloud_file.write_bytes(content + bytes(5 * 4 * len(names)))
-    with pytest.raises(RenderError, match=rf"{names[0]}.* are of {kind}.*ggvs-eval score --renders"):
+    with pytest.raises(
+        RenderError, match=rf"{names[0]}.* are of {kind}.*ggvs-eval score --renders"
+    ):
         read_ply(cloud_file)
 
 
@@ -243,7 +335,9 @@ def test_gaussians_that_are_drawn_otherwise_are_refused(cloud_file, names, kind)
     ],
 )
 def test_comments_say_how_a_cloud_is_drawn(cloud_file, comment, is_antialiased):
-    """The exporters of gsplat and brush write the mode of the training into the header; it is applied, noted, and kept."""
+    """The exporters of gsplat and brush write the mode of the training into the header; it is
+    applied, noted, and kept.
+    """
     damage(cloud_file, b"element vertex", f"comment {comment}\nelement vertex".encode())
     cloud = read_ply(cloud_file)
 

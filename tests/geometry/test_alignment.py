@@ -1,4 +1,6 @@
-"""Bringing one calibration into the world of another: similarities from centres and from whole poses."""
+"""Bringing one calibration into the world of another: similarities from centres and from whole
+poses.
+"""
 
 from dataclasses import replace
 
@@ -12,7 +14,9 @@ from helpers.captures import make_rig
 
 
 def test_alignment_recovers_a_similarity():
-    """Centres moved by a known similarity are brought back exactly, and a mirrored rig is not turned into a mirrored camera."""
+    """Centres moved by a known similarity are brought back exactly, and a mirrored rig is not
+    turned into a mirrored camera.
+    """
     rng = np.random.default_rng(0)
     points, rotation = rng.normal(size=(7, 3)), Rotation.from_rotvec([0.3, -1.1, 0.4]).as_matrix()
     similarity = align_similarity(points, 2.5 * points @ rotation.T + [1.0, -2.0, 0.5])
@@ -26,14 +30,18 @@ def test_alignment_recovers_a_similarity():
 
 
 def test_pose_differences_are_measured():
-    """One camera turned by a degree about its centre differs by that degree and by no distance; too few cameras are refused."""
+    """One camera turned by a degree about its centre differs by that degree and by no distance; too
+    few cameras are refused.
+    """
     truth = {camera.name: camera for camera in make_rig(("a", "b", "c", "d"))}
     moved = truth["c"].world_to_camera.copy()
     moved[:3, 3] -= moved[:3, :3] @ [0.0, 0.4, 0.2]  # off the line of the others
     truth["c"] = replace(truth["c"], world_to_camera=moved)
     turned = np.eye(4)
     turned[:3, :3] = Rotation.from_rotvec([0, np.radians(1), 0]).as_matrix()
-    estimated = truth | {"b": replace(truth["b"], world_to_camera=turned @ truth["b"].world_to_camera)}
+    estimated = truth | {
+        "b": replace(truth["b"], world_to_camera=turned @ truth["b"].world_to_camera)
+    }
     distances, angles_rad = pose_differences(estimated, truth)
     np.testing.assert_allclose(distances, 0, atol=1e-9)
     np.testing.assert_allclose(np.degrees(angles_rad), [0, 1, 0, 0], atol=1e-6)

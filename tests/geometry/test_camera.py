@@ -41,8 +41,12 @@ def test_unproject_inverts_project(seed, depth):
     np.testing.assert_allclose(back, uv, atol=1e-8)
     np.testing.assert_allclose(z, depth, rtol=1e-9)
     points = camera.unproject(uv, np.full(uv.shape[:2], depth))
-    by_opencv, _ = cv2.projectPoints(points.reshape(-1, 1, 3), *camera_pose(camera), camera.K_opencv, None)
-    np.testing.assert_allclose(by_opencv.reshape(uv.shape), np.mgrid[:48, :64][::-1].transpose(1, 2, 0), atol=1e-6)
+    by_opencv, _ = cv2.projectPoints(
+        points.reshape(-1, 1, 3), *camera_pose(camera), camera.K_opencv, None
+    )
+    np.testing.assert_allclose(
+        by_opencv.reshape(uv.shape), np.mgrid[:48, :64][::-1].transpose(1, 2, 0), atol=1e-6
+    )
 
 
 def test_rays_reach_every_depth():
@@ -51,7 +55,9 @@ def test_rays_reach_every_depth():
 
     points = camera.centre + 4.0 * camera.rays()
 
-    np.testing.assert_allclose(points, camera.unproject(camera.pixel_centres(), np.full((48, 64), 4.0)), atol=1e-12)
+    np.testing.assert_allclose(
+        points, camera.unproject(camera.pixel_centres(), np.full((48, 64), 4.0)), atol=1e-12
+    )
 
 
 @settings(deadline=None)
@@ -69,7 +75,10 @@ def test_resizing_keeps_relative_position(scale, seed):
 
 def test_cropping_shifts_pixels():
     """In a crop a point lies at its old position minus the crop's corner."""
-    camera, point = make_camera(seed=3), make_camera(seed=3).unproject(np.array([[20.5, 10.5]]), np.array([2.0]))
+    camera, point = (
+        make_camera(seed=3),
+        make_camera(seed=3).unproject(np.array([[20.5, 10.5]]), np.array([2.0])),
+    )
 
     uv, _ = camera.cropped(5, 7, 30, 30).project(point)
 
@@ -78,7 +87,9 @@ def test_cropping_shifts_pixels():
 
 def test_nearest_cameras_leave_the_target_out_and_break_ties_by_name():
     """The target is never its own source; equally near cameras come in the order of their names."""
-    rig = [make_camera(name, centre=(x, 0, 0)) for name, x in (("c", 1), ("a", 0), ("b", -1), ("d", 5))]
+    rig = [
+        make_camera(name, centre=(x, 0, 0)) for name, x in (("c", 1), ("a", 0), ("b", -1), ("d", 5))
+    ]
 
     assert [camera.name for camera in nearest_cameras(rig[1], rig, 3)] == ["b", "c", "d"]
     with refused(CameraError, "4 source cameras", "has 3"):
@@ -113,8 +124,17 @@ def nan_pose() -> np.ndarray:
     ],
 )
 def test_nonsense_is_refused_with_the_cameras_name(changes, message):
-    """NaN, mirrored poses, negative focal lengths and empty ranges are refused in one line that names the camera."""
-    values = {"K": np.diag([9.0, 9, 1]), "world_to_camera": np.eye(4), "width": 4, "height": 4, "near": 1.0, "far": 2.0}
+    """NaN, mirrored poses, negative focal lengths and empty ranges are refused in one line that
+    names the camera.
+    """
+    values = {
+        "K": np.diag([9.0, 9, 1]),
+        "world_to_camera": np.eye(4),
+        "width": 4,
+        "height": 4,
+        "near": 1.0,
+        "far": 2.0,
+    }
 
     with pytest.raises(CameraError, match=message) as caught:
         Camera("cam00", **(values | changes))

@@ -11,9 +11,12 @@ from helpers.scenes import camera_at, instant
 @pytest.mark.parametrize("method", ["ours-geometric", "no-blending", "distance-based"])
 @pytest.mark.parametrize("widths", [(40, 65536), (65536, 40)])
 def test_a_camera_beyond_the_kernels_is_refused(method, widths):
-    """65,536 pixels across, of the target or of a source: one line that names the camera and says what to do."""
+    """65,536 pixels across, of the target or of a source: one line that names the camera and says
+    what to do.
+    """
     target, source = (
-        camera_at(x, name=name, width=width, height=8) for x, name, width in zip((0, 0.1), "ts", widths, strict=True)
+        camera_at(x, name=name, width=width, height=8)
+        for x, name, width in zip((0, 0.1), "ts", widths, strict=True)
     )
     with refused(RenderError, "camera", "65535 pixels a side, got 65536 x 8", "Camera.resized"):
         find_method(method).make().step(instant(0, target, [source]))

@@ -9,7 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, nearest_disparity, rectify
+from ggvs_eval.geometry.rectification import (
+    at_matches,
+    depth_from_disparity,
+    nearest_disparity,
+    rectify,
+)
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from helpers.stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
 
@@ -28,7 +33,9 @@ BY_SIDE = pytest.mark.parametrize("side", PARTNERS)
 
 @BY_SIDE
 def test_equal_points_lie_on_equal_rows(side):
-    """A canvas pixel and its match at any disparity are projections of one point, whose depth is depth_scale / disparity."""
+    """A canvas pixel and its match at any disparity are projections of one point, whose depth is
+    depth_scale / disparity.
+    """
     pair, partner = rectify(REFERENCE, PARTNERS[side]), PARTNERS[side]
     random = np.random.default_rng(1)
     rows, columns = np.nonzero(pair.left_inside)
@@ -36,7 +43,9 @@ def test_equal_points_lie_on_equal_rows(side):
     rows, columns = rows[some], columns[some]
     disparities = random.integers(pair.d_min, pair.d_max + 1, 500)
     uv = pair.left_map[rows, columns]  # (500, 2)
-    scale = cv2.remap(pair.depth_scale, uv[None], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    scale = cv2.remap(
+        pair.depth_scale, uv[None], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )[0]
     matches = columns - disparities
     on_canvas = matches >= 0
     points = REFERENCE.unproject(uv + 0.5, scale / disparities)
@@ -48,11 +57,15 @@ def test_equal_points_lie_on_equal_rows(side):
 
 @BY_SIDE
 def test_canvas_keeps_the_image(side):
-    """Every reference pixel whose point the partner sees somewhere between near and far has a place on the canvas."""
+    """Every reference pixel whose point the partner sees somewhere between near and far has a place
+    on the canvas.
+    """
     pair, partner = rectify(REFERENCE, PARTNERS[side]), PARTNERS[side]
     seen = np.zeros((REFERENCE.height, REFERENCE.width), bool)
     for depth in np.linspace(NEAR, FAR, 8):
-        uv, _ = partner.project(REFERENCE.unproject(REFERENCE.pixel_centres(), np.full(seen.shape, depth)))
+        uv, _ = partner.project(
+            REFERENCE.unproject(REFERENCE.pixel_centres(), np.full(seen.shape, depth))
+        )
         seen |= ((uv > 1) & (uv < np.array(partner.size) - 1)).all(axis=-1)
     places = pair.canvas_map[seen]
     assert (places >= 0).all()
@@ -72,7 +85,10 @@ def test_no_depth_between_two_surfaces():
     disparity = np.full(pair.left_inside.shape, pair.d_min + 2, np.float32)
     disparity[:, pair.size[0] // 2 :] = pair.d_max - 2
     depth, _, sampled = depth_from_disparity(pair, disparity, np.ones_like(disparity))
-    assert set(np.unique(sampled[depth > 0])) == {np.float32(pair.d_min + 2), np.float32(pair.d_max - 2)}
+    assert set(np.unique(sampled[depth > 0])) == {
+        np.float32(pair.d_min + 2),
+        np.float32(pair.d_max - 2),
+    }
 
 
 def test_pairs_without_parallax_are_refused():
@@ -86,7 +102,9 @@ def test_pairs_without_parallax_are_refused():
 
 
 def test_nearest_surfaces_that_leave_the_images_are_no_reason_to_refuse():
-    """Cameras 28 degrees apart whose nearest surfaces move by more than they overlap see the plane behind them all the same."""
+    """Cameras 28 degrees apart whose nearest surfaces move by more than they overlap see the plane
+    behind them all the same.
+    """
     reference, partner = replace(REFERENCE, near=1.0), look_from(3.0, 0, "far", 0.49)
     assert nearest_disparity(reference, partner) > 1
     pair = rectify(reference, partner)
@@ -95,7 +113,9 @@ def test_nearest_surfaces_that_leave_the_images_are_no_reason_to_refuse():
     uv, _ = partner.project(reference.unproject(reference.pixel_centres(), depth))
     seen = ((uv > 1) & (uv < np.array(partner.size) - 1)).all(axis=-1)
     assert seen.mean() > 0.5
-    estimated = DepthEstimator(reference, [partner], DepthOptions()).estimate(see_plane(reference), [see_plane(partner)])
+    estimated = DepthEstimator(reference, [partner], DepthOptions()).estimate(
+        see_plane(reference), [see_plane(partner)]
+    )
     known = seen & (estimated.confidence > 0.1)
     assert known.sum() > 0.7 * seen.sum()
     assert np.median(np.abs(estimated.depth[known] / depth[known] - 1)) < 0.003
@@ -119,16 +139,22 @@ def message_of(check, *pair) -> str:
 @settings(deadline=None)
 @given(*(st.floats(-limit, limit) for limit in (2.0, 1.0, 1.0)), st.floats(0.2, 3.0))
 def test_what_can_be_rectified_is_known_from_the_corners(x, y, turn, near):
-    """Pairs side by side and askew, of near and far surfaces, are accepted and refused as by `rectify`, word for word."""
+    """Pairs side by side and askew, of near and far surfaces, are accepted and refused as by
+    `rectify`, word for word.
+    """
     reference = replace(REFERENCE.resized(40, 30), near=near)
     partner = look_from(x, y, "partner", turn).resized(40, 30)
-    assert message_of(nearest_disparity, reference, partner) == message_of(rectify, reference, partner)
+    assert message_of(nearest_disparity, reference, partner) == message_of(
+        rectify, reference, partner
+    )
 
 
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from((np.float32, np.uint8)))
 def test_values_at_matches_are_those_of_the_rounded_column(seed, kind):
-    """Pixel by pixel: column minus disparity, halves to the even column, zero outside; whatever lies in memory backwards too."""
+    """Pixel by pixel: column minus disparity, halves to the even column, zero outside; whatever
+    lies in memory backwards too.
+    """
     rng = np.random.default_rng(seed)
     right = rng.integers(1, 255, (5, 40)).astype(kind)
     disparity = (rng.integers(-20, 120, right.shape) / 2).astype(np.float32)

@@ -32,23 +32,35 @@ def source_view(random: np.random.Generator, width: int, height: int, name: str)
 def random_splat(random: np.random.Generator, camera: Camera, features: int) -> Splat:
     size = camera.height, camera.width
     alpha = random.random(size, dtype=np.float32) * (random.random(size) < 0.7)
-    return Splat(random.random((*size, features), dtype=np.float32), alpha.astype(np.float32), random_depth(random, camera))
+    return Splat(
+        random.random((*size, features), dtype=np.float32),
+        alpha.astype(np.float32),
+        random_depth(random, camera),
+    )
 
 
 def random_inputs(seed: int, size: tuple[int, int], views: int, features: int) -> BlendingInputs:
-    """Views of different sizes around a rough surface, their splats of so many features, one source not seen at all."""
+    """Views of different sizes around a rough surface, their splats of so many features, one source
+    not seen at all.
+    """
     random = np.random.default_rng(seed)
     target = random_camera(random, *size, "target")
     sources = [source_view(random, 5 + 9 * k, 7 + 5 * k, f"source {k}") for k in range(views)]
     splats = [random_splat(random, target, features) for _ in sources]
     sources[-1] = replace(sources[-1], depth=np.zeros_like(sources[-1].depth))
-    return BlendingInputs(Instant(0, target, tuple(sources), 1.0), splats, random_depth(random, target), TAU)
+    return BlendingInputs(
+        Instant(0, target, tuple(sources), 1.0), splats, random_depth(random, target), TAU
+    )
 
 
 @settings(deadline=None, max_examples=25)
-@given(seeds, sizes, st.integers(1, 5), st.integers(3, 4), st.sampled_from(kernels.available_levels()))
+@given(
+    seeds, sizes, st.integers(1, 5), st.integers(3, 4), st.sampled_from(kernels.available_levels())
+)
 def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level):
-    """Any sizes, poses and holes give what `RawViews.maps` makes of warps and splats, with every instruction set."""
+    """Any sizes, poses and holes give what `RawViews.maps` makes of warps and splats, with every
+    instruction set.
+    """
     inputs = random_inputs(seed, size, views, features)
     kernels.set_simd_level(level)
     found, expected = blend_maps(inputs, "registered"), raw_views(inputs).maps("registered")
@@ -69,9 +81,13 @@ def test_registered_and_looked_at_in_one_pass(seed, size, views, scale, threads)
     expected = blend_maps(inputs, "registered")
     for ours, theirs in ((maps, expected), (summary.small, overview(expected, scale).small)):
         for name in ("colours", "coverage", "visibilities", "alphas", "depths", "fused_depth"):
-            np.testing.assert_array_equal(np.asarray(getattr(ours, name)), np.asarray(getattr(theirs, name)), err_msg=name)
+            np.testing.assert_array_equal(
+                np.asarray(getattr(ours, name)), np.asarray(getattr(theirs, name)), err_msg=name
+            )
     for name in ("unseen", "picture", "covered"):
-        np.testing.assert_array_equal(getattr(summary, name), getattr(overview(expected, scale), name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(summary, name), getattr(overview(expected, scale), name), err_msg=name
+        )
 
 
 def test_threads_and_instruction_sets_give_the_same_bits():

@@ -11,7 +11,9 @@ from ggvs_eval.geometry.reproject_depth import reproject_depth
 WIDTH, HEIGHT = 96, 72
 
 
-def make_camera(width: int, height: int, focal_px: float, position=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0)) -> Camera:
+def make_camera(
+    width: int, height: int, focal_px: float, position=(0.0, 0.0, 0.0), turn_rad=(0.0, 0.0, 0.0)
+) -> Camera:
     """A camera at a place in the world, turned by a rotation vector."""
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = cv2.Rodrigues(np.array(turn_rad))[0]
@@ -25,7 +27,9 @@ def plane_depth(camera: Camera, normal, distance: float) -> np.ndarray:
     return (distance - camera.centre @ normal) / (camera.rays() @ np.asarray(normal))
 
 
-def seen_by(camera: Camera, target: Camera, truth: np.ndarray, margin_px: float = 1.0) -> np.ndarray:
+def seen_by(
+    camera: Camera, target: Camera, truth: np.ndarray, margin_px: float = 1.0
+) -> np.ndarray:
     """Pixels of the target whose surface lies in the camera's image, (H, W)."""
     uv, _ = camera.project(target.unproject(target.pixel_centres(), truth.astype(np.float64)))
     return (uv > margin_px).all(axis=-1) & (uv < np.array(camera.size) - margin_px).all(axis=-1)
@@ -33,7 +37,9 @@ def seen_by(camera: Camera, target: Camera, truth: np.ndarray, margin_px: float 
 
 @pytest.mark.parametrize("focal_px", [25.0, 80.0, 300.0])
 def test_a_frontal_plane_keeps_its_depth_and_ends_where_the_sensor_does(focal_px):
-    """A plane at 2 m is at 2 m wherever the sensor's frustum reaches, and unknown beyond: at any ratio of resolutions."""
+    """A plane at 2 m is at 2 m wherever the sensor's frustum reaches, and unknown beyond: at any
+    ratio of resolutions.
+    """
     colour = make_camera(WIDTH, HEIGHT, 90.0)
     sensor = make_camera(40, 30, focal_px, position=(0.25, -0.1, 0.0))
     depth = reproject_depth(sensor, np.full((30, 40), 2.0), colour)
@@ -48,7 +54,9 @@ def test_a_frontal_plane_keeps_its_depth_and_ends_where_the_sensor_does(focal_px
 
 
 def test_a_slanted_plane_stays_a_plane():
-    """Pieces of plane go on as the plane does: no stairs from the sensor's coarser pixels, under any pose."""
+    """Pieces of plane go on as the plane does: no stairs from the sensor's coarser pixels, under
+    any pose.
+    """
     colour = make_camera(WIDTH, HEIGHT, 90.0)
     sensor = make_camera(48, 36, 40.0, position=(0.1, 0.05, -0.1), turn_rad=(0.02, -0.05, 0.03))
     normal = np.array([0.5, -0.3, 0.81])
@@ -65,12 +73,19 @@ def test_the_same_camera_sees_what_was_measured():
     depth = np.random.default_rng(1).uniform(0.5, 5.0, (HEIGHT, WIDTH)).astype(np.float32)
     depth[10:20, 30:50] = 0
     depth[0, 0] = np.nan
-    np.testing.assert_allclose(reproject_depth(camera, depth, camera), np.nan_to_num(depth), rtol=1e-6)
+    np.testing.assert_allclose(
+        reproject_depth(camera, depth, camera), np.nan_to_num(depth), rtol=1e-6
+    )
 
 
 def test_the_foreground_wins_and_what_the_sensor_does_not_see_is_unknown():
-    """A board at 1 m before a wall at 3 m, seen from 0.2 m beside: it moves by 0.2 f (1 - 1/3) against the wall."""
-    colour, sensor = make_camera(WIDTH, HEIGHT, 90.0), make_camera(WIDTH, HEIGHT, 90.0, position=(0.2, 0.0, 0.0))
+    """A board at 1 m before a wall at 3 m, seen from 0.2 m beside: it moves by 0.2 f (1 - 1/3)
+    against the wall.
+    """
+    colour, sensor = (
+        make_camera(WIDTH, HEIGHT, 90.0),
+        make_camera(WIDTH, HEIGHT, 90.0, position=(0.2, 0.0, 0.0)),
+    )
     measured = np.full((HEIGHT, WIDTH), 3.0)
     measured[20:50, 30:60] = 1.0
     depth = reproject_depth(sensor, measured, colour)
@@ -82,8 +97,13 @@ def test_the_foreground_wins_and_what_the_sensor_does_not_see_is_unknown():
 
 
 def test_a_point_far_nearer_than_the_others_is_no_hole_and_no_crash():
-    """Points at the target's centre, behind it or out of its view are left out; an empty map stays empty."""
-    colour, sensor = make_camera(WIDTH, HEIGHT, 90.0), make_camera(40, 30, 40.0, position=(0.0, 0.0, -1.0))
+    """Points at the target's centre, behind it or out of its view are left out; an empty map stays
+    empty.
+    """
+    colour, sensor = (
+        make_camera(WIDTH, HEIGHT, 90.0),
+        make_camera(40, 30, 40.0, position=(0.0, 0.0, -1.0)),
+    )
     assert not reproject_depth(sensor, np.zeros((30, 40)), colour).any()
     assert not reproject_depth(sensor, np.full((30, 40), 0.5), colour).any()
     with pytest.raises(RenderError, match="depth must be 30 x 40"):

@@ -1,4 +1,6 @@
-"""Rigs on which the method cannot work are refused from their calibration alone, in one line, before anything is computed."""
+"""Rigs on which the method cannot work are refused from their calibration alone, in one line,
+before anything is computed.
+"""
 
 from dataclasses import replace
 
@@ -21,7 +23,11 @@ def ring(angles_deg) -> list[Camera]:
     cameras = []
     for index, angle in enumerate(np.deg2rad(angles_deg)):
         world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+        world_to_camera[:3, :3] = [
+            [np.cos(angle), 0, np.sin(angle)],
+            [0, 1, 0],
+            [-np.sin(angle), 0, np.cos(angle)],
+        ]
         world_to_camera[:3, 3] = (0, 0, 3)
         cameras.append(Camera(f"cam{index:02d}", K, world_to_camera, 96, 72, 2.0, 5.0))
     return cameras
@@ -44,7 +50,9 @@ def test_what_can_be_shown_falls_with_the_spacing():
 
 
 def test_a_sensor_spares_the_stereo():
-    """Two cameras have no partner but the target to be matched with; with depth of their own they show what they see."""
+    """Two cameras have no partner but the target to be matched with; with depth of their own they
+    show what they see.
+    """
     cameras = ring([-20, 0, 100])
     target, sources = cameras[0], cameras[1:]
     assert shown_share(target, sources, cameras) == 0
@@ -52,7 +60,9 @@ def test_a_sensor_spares_the_stereo():
 
 
 def test_four_wide_cameras_are_refused_in_one_line():
-    """As a studio with a camera in each corner: the message says how far away the sources look from and what would help."""
+    """As a studio with a camera in each corner: the message says how far away the sources look from
+    and what would help.
+    """
     cameras = ring([0, 50, 170, 235])
     with pytest.raises(CameraError) as caught:
         require_sight(cameras[0], nearest(cameras, 0, 3), cameras)
@@ -60,15 +70,22 @@ def test_four_wide_cameras_are_refused_in_one_line():
     assert "\n" not in message
     assert message.startswith("camera cam00: its 3 sources are 47 degrees away (cam01) or more")
     assert "show 0% of its view with recoverable depth, wanted 40%" in message
-    assert message.endswith("add cameras between, 20 degrees apart or less, or remove it from the test views")
+    assert message.endswith(
+        "add cameras between, 20 degrees apart or less, or remove it from the test views"
+    )
 
 
 def test_the_other_choice_is_offered_where_it_helps():
     """Near places that look elsewhere: chosen by what they see, others would do."""
     rig = ring([0, 6, 12, 18])
-    away = [replace(camera, name=f"away{index}", world_to_camera=_backwards(camera)) for index, camera in enumerate(rig[:2])]
+    away = [
+        replace(camera, name=f"away{index}", world_to_camera=_backwards(camera))
+        for index, camera in enumerate(rig[:2])
+    ]
     cameras = [*rig, *away]
-    with pytest.raises(CameraError, match=r'set synthesis\.sources = "coverage", whose sources see [89][0-9]%'):
+    with pytest.raises(
+        CameraError, match=r'set synthesis\.sources = "coverage", whose sources see [89][0-9]%'
+    ):
         require_sight(rig[0], away, cameras)
 
 
@@ -78,7 +95,9 @@ def _backwards(camera: Camera) -> np.ndarray:
 
 
 def test_the_check_says_it_too():
-    """Bad where no camera can be synthesised from the others, a warning where one cannot, nothing on a usual rig."""
+    """Bad where no camera can be synthesised from the others, a warning where one cannot, nothing
+    on a usual rig.
+    """
     rig, *each = check_overlap(ring([0, 50, 170, 235]))
     assert (rig.verdict, {finding.verdict for finding in each}) == ("bad", {"warn"})
     assert "no camera can be synthesised from the others" in rig.measured
@@ -96,8 +115,19 @@ def test_runs_are_refused_before_anything_is_computed(tmp_path):
     lines = []
     for camera in ring([0, 50, 170, 235]):
         write_image(tmp_path / "images" / f"{camera.name}.png", np.full((72, 96, 3), 99, np.uint8))
-        lines += ["[[camera]]", f'name = "{camera.name}"', f'frames = "images/{camera.name}.png"', "width = 96", "height = 72"]
-        lines += [f"K = {K.tolist()}", f"world_to_camera = {camera.world_to_camera.tolist()}", "near = 2.0", "far = 5.0"]
+        lines += [
+            "[[camera]]",
+            f'name = "{camera.name}"',
+            f'frames = "images/{camera.name}.png"',
+            "width = 96",
+            "height = 72",
+        ]
+        lines += [
+            f"K = {K.tolist()}",
+            f"world_to_camera = {camera.world_to_camera.tolist()}",
+            "near = 2.0",
+            "far = 5.0",
+        ]
     (tmp_path / "capture.toml").write_text("\n".join(["units_per_metre = 1.0", *lines]))
     for verb in ("run", "prepare"):
         message = refusal(verb, tmp_path / "out", "--capture", tmp_path)

@@ -1,4 +1,6 @@
-"""Laws of the weights between source views: no pixel, no unit of length, no camera that is left out of the sum."""
+"""Laws of the weights between source views: no pixel, no unit of length, no camera that is left out
+of the sum.
+"""
 
 from dataclasses import replace
 
@@ -19,7 +21,8 @@ from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
-DEPTH = 2 / (1 / TARGET.near + 1 / TARGET.far)  # in the middle of the range, in which inverse depth is even
+# in the middle of the range, in which inverse depth is even
+DEPTH = 2 / (1 / TARGET.near + 1 / TARGET.far)
 places = st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=6)
 
 
@@ -35,8 +38,12 @@ def test_neither_resolution_nor_crop_changes_a_weight(positions, factor, corner)
     cameras, (left, top) = rig(positions), corner
     finer = [camera.resized(factor * camera.width, factor * camera.height) for camera in cameras]
     expected = view_weights(TARGET, cameras)
-    np.testing.assert_array_equal(view_weights(TARGET.resized(factor * 96, factor * 72), finer), expected)
-    np.testing.assert_array_equal(view_weights(TARGET.cropped(left, top, 40, 30), cameras), expected)
+    np.testing.assert_array_equal(
+        view_weights(TARGET.resized(factor * 96, factor * 72), finer), expected
+    )
+    np.testing.assert_array_equal(
+        view_weights(TARGET.cropped(left, top, 40, 30), cameras), expected
+    )
 
 
 @settings(deadline=None)
@@ -55,26 +62,44 @@ def test_the_unit_of_length_does_not_matter(positions, unit):
 
 
 def test_weights_fall_with_the_angle():
-    """As a power of the parallax in the middle of the depth range; 1 for the nearest; times the shares."""
+    """As a power of the parallax in the middle of the depth range; 1 for the nearest; times the
+    shares.
+    """
     steps = np.array([1.0, 2.0, 4.0, 500.0])
-    cameras = rig([(10 * DEPTH * LEAST_PARALLAX_RAD * step - DEPTH * LEAST_PARALLAX_RAD, 0.0) for step in steps])
+    cameras = rig(
+        [
+            (10 * DEPTH * LEAST_PARALLAX_RAD * step - DEPTH * LEAST_PARALLAX_RAD, 0.0)
+            for step in steps
+        ]
+    )
     np.testing.assert_allclose(view_weights(TARGET, cameras), steps**-FALL_OFF, rtol=1e-5)
     shares = (1.0, 0.5, 0.1, 1.0)
     np.testing.assert_allclose(
-        view_weights(TARGET, cameras, shares), view_weights(TARGET, cameras) * np.float32(shares), rtol=1e-6
+        view_weights(TARGET, cameras, shares),
+        view_weights(TARGET, cameras) * np.float32(shares),
+        rtol=1e-6,
     )
 
 
 @settings(deadline=None)
 @given(places, st.floats(-2, 2), st.floats(-1e-4, 1e-4))
 def test_weights_are_continuous(positions, x, step):
-    """A target that moves a little changes a weight a little, through the very place of a source too."""
-    before, after = (view_weights(camera_at(at, name="target"), rig(positions)) for at in (x, x + step))
-    assert np.abs(after - before).max() <= 2 * FALL_OFF * abs(step) / (DEPTH * LEAST_PARALLAX_RAD) + 1e-6
+    """A target that moves a little changes a weight a little, through the very place of a source
+    too.
+    """
+    before, after = (
+        view_weights(camera_at(at, name="target"), rig(positions)) for at in (x, x + step)
+    )
+    assert (
+        np.abs(after - before).max()
+        <= 2 * FALL_OFF * abs(step) / (DEPTH * LEAST_PARALLAX_RAD) + 1e-6
+    )
 
 
 def half_seen(far_x: float, share: float) -> Instant:
-    """A near source that knows nothing of its right half, and one at a distance that sees all of the target's view."""
+    """A near source that knows nothing of its right half, and one at a distance that sees all of
+    the target's view.
+    """
     moment = instant(0, TARGET, [camera_at(0.05, name="near"), camera_at(far_x, name="far")])
     near, far = moment.sources
     depth = near.depth.copy()
@@ -85,12 +110,19 @@ def half_seen(far_x: float, share: float) -> Instant:
 @pytest.mark.parametrize("far_x", [0.1, 0.6, 1.2])
 @pytest.mark.parametrize("share", [1.0, 1e-3])
 def test_what_one_view_alone_sees_has_its_colour(far_x, share):
-    """However far it stands and however little it counts: as bright as the scene, not blended with black or a filled hole."""
+    """However far it stands and however little it counts: as bright as the scene, not blended with
+    black or a filled hole.
+    """
     moment = half_seen(far_x, share)
     truth = look(TARGET)[0] / 255.0
-    alone = np.s_[8:-8, 66:80]  # right of the near view's knowledge and of the square, within the far one's image
+    # right of the near view's knowledge and of the square, within the far one's image
+    alone = np.s_[8:-8, 66:80]
 
-    image = GeometryGuided(OnlineOptions(temporal=False, compensated=False), GeometricBlender()).step(moment).image
+    image = (
+        GeometryGuided(OnlineOptions(temporal=False, compensated=False), GeometricBlender())
+        .step(moment)
+        .image
+    )
 
     assert np.abs(image[alone] - truth[alone]).max() < 0.05
     maps = blend_maps(inputs_of(moment), "registered")
@@ -102,6 +134,10 @@ def test_what_one_view_alone_sees_has_its_colour(far_x, share):
 
 
 def test_no_weight_is_too_small_for_a_mean():
-    """A view whose weight lies thirteen orders below those of others elsewhere still gives its full colour."""
+    """A view whose weight lies thirteen orders below those of others elsewhere still gives its full
+    colour.
+    """
     colour, weight = np.full((1, 2, 3), 0.75, np.float32), np.array([[1e-13, 0.0]], np.float32)
-    np.testing.assert_allclose(weighted_mean([colour], [weight])[0], [[0.75] * 3, [0.0] * 3], rtol=1e-6)
+    np.testing.assert_allclose(
+        weighted_mean([colour], [weight])[0], [[0.75] * 3, [0.0] * 3], rtol=1e-6
+    )

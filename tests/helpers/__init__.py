@@ -1,1 +1,3 @@
-"""What several tests build on: captures and scenes made by hand, readers of pages, and numpy twins of kernels."""
+"""What several tests build on: captures and scenes made by hand, readers of pages, and numpy twins
+of kernels.
+"""

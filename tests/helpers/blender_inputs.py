@@ -29,8 +29,20 @@ def random_maps(random: np.random.Generator, width: int, height: int, views: int
     """Views that show nothing in places, over a surface with edges and holes."""
     target, size = random_camera(random, width, height, "target"), (views, height, width)
     seen = np.clip(random.normal(0.5, 0.6, size), 0, 1).astype(np.float32)
-    alphas, colours = random.random(size, dtype=np.float32), random.random((*size, 3), dtype=np.float32)
+    alphas, colours = (
+        random.random(size, dtype=np.float32),
+        random.random((*size, 3), dtype=np.float32),
+    )
     depths = tuple(random_depth(random, target) for _ in range(views))
     sources = tuple(random_camera(random, 20, 15, f"source {k}") for k in range(views))
     coverage = np.maximum(seen, np.float32(0.02) * alphas)
-    return BlendMaps(target, sources, colours, coverage, seen, tuple(alphas), depths, random_depth(random, target))
+    return BlendMaps(
+        target,
+        sources,
+        colours,
+        coverage,
+        seen,
+        tuple(alphas),
+        depths,
+        random_depth(random, target),
+    )

@@ -22,7 +22,9 @@ NAMES = ("cam00", "cam01", "cam02", "cam03")
 
 
 def make_image(camera: int, frame: int, width: int = WIDTH, height: int = HEIGHT) -> Image8:
-    """A smooth picture whose mean colour tells the frame (red), the camera (green) and whose blue runs from left to right."""
+    """A smooth picture whose mean colour tells the frame (red), the camera (green) and whose blue
+    runs from left to right.
+    """
     image = np.empty((height, width, 3), np.uint8)
     image[..., 0] = 30 + 20 * frame
     image[..., 1] = 30 + 20 * camera
@@ -30,7 +32,9 @@ def make_image(camera: int, frame: int, width: int = WIDTH, height: int = HEIGHT
     return image
 
 
-def make_rig(names: Sequence[str] = NAMES, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:
+def make_rig(
+    names: Sequence[str] = NAMES, width: int = WIDTH, height: int = HEIGHT
+) -> list[Camera]:
     """Cameras in a row, each turned a little, near 2 and far 8."""
     cameras = []
     for index, name in enumerate(names):
@@ -51,7 +55,9 @@ def write_poses(folder: Path, cameras: Sequence[Camera]) -> None:
 
 def write_videos(folder: Path, names: Sequence[str] = NAMES, n_frames: int = N_FRAMES) -> None:
     for index, name in enumerate(names):
-        write_video(folder / f"{name}.mp4", (make_image(index, frame) for frame in range(n_frames)), FPS)
+        write_video(
+            folder / f"{name}.mp4", (make_image(index, frame) for frame in range(n_frames)), FPS
+        )
 
 
 def write_timed_video(path: Path, images: list[np.ndarray], ticks: Sequence[int]) -> None:
@@ -60,7 +66,12 @@ def write_timed_video(path: Path, images: list[np.ndarray], ticks: Sequence[int]
 
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt, stream.options = WIDTH, HEIGHT, "yuv420p", {"bf": "0"}
+        stream.width, stream.height, stream.pix_fmt, stream.options = (
+            WIDTH,
+            HEIGHT,
+            "yuv420p",
+            {"bf": "0"},
+        )
         stream.codec_context.time_base = Fraction(1, 600)
         for image, tick in zip(images, ticks, strict=True):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
@@ -69,10 +80,14 @@ def write_timed_video(path: Path, images: list[np.ndarray], ticks: Sequence[int]
         container.mux(stream.encode())
 
 
-def write_folders(folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0) -> Path:
+def write_folders(
+    folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0
+) -> Path:
     for index, name in enumerate(names):
         for frame in range(N_FRAMES):
-            write_image(folder / pattern.format(name) / f"{first + frame:04d}.png", make_image(index, frame))
+            write_image(
+                folder / pattern.format(name) / f"{first + frame:04d}.png", make_image(index, frame)
+            )
     return folder
 
 
@@ -83,23 +98,34 @@ def write_dynerf(folder: Path, names: Sequence[str] = NAMES) -> Path:
     return folder
 
 
-def write_colmap_model(folder: Path, image_names: Sequence[str], model: str = "PINHOLE", distortion: str = "") -> None:
-    """A sparse model in COLMAP's text form: the rig above, one shared camera, 60 points that every image sees."""
+def write_colmap_model(
+    folder: Path, image_names: Sequence[str], model: str = "PINHOLE", distortion: str = ""
+) -> None:
+    """A sparse model in COLMAP's text form: the rig above, one shared camera, 60 points that every
+    image sees.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rig = make_rig(image_names)
     K = rig[0].K
     focal = f"{K[0, 0]} {K[1, 1]}" if model == "PINHOLE" else f"{K[0, 0]}"
     camera_line = f"1 {model} {WIDTH} {HEIGHT} {focal} {K[0, 2]} {K[1, 2]} {distortion}"
-    (folder / "cameras.txt").write_text(f"# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n{camera_line}\n")
+    (folder / "cameras.txt").write_text(
+        f"# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n{camera_line}\n"
+    )
     points_world = np.random.default_rng(0).uniform((-0.5, -0.5, 3.0), (1.0, 0.5, 6.0), (60, 3))
     image_lines, tracks = [], " ".join(f"{image + 1} {{0}}" for image in range(len(rig)))
     for image, camera in enumerate(rig):
-        numbers = " ".join(f"{value:.17g}" for value in (*_quaternion_wxyz(camera), *camera.translation))
+        numbers = " ".join(
+            f"{value:.17g}" for value in (*_quaternion_wxyz(camera), *camera.translation)
+        )
         uv = camera.project(points_world)[0]
         seen = " ".join(f"{u:.6f} {v:.6f} {point + 1}" for point, (u, v) in enumerate(uv))
         image_lines += [f"{image + 1} {numbers} 1 {image_names[image]}", seen]
     (folder / "images.txt").write_text("\n".join(image_lines) + "\n")
-    point_lines = [f"{i + 1} {x:.9f} {y:.9f} {z:.9f} 9 9 9 0.5 {tracks.format(i)}" for i, (x, y, z) in enumerate(points_world)]
+    point_lines = [
+        f"{i + 1} {x:.9f} {y:.9f} {z:.9f} 9 9 9 0.5 {tracks.format(i)}"
+        for i, (x, y, z) in enumerate(points_world)
+    ]
     (folder / "points3D.txt").write_text("\n".join(point_lines) + "\n")
 
 
@@ -119,7 +145,9 @@ def make_binary(model_folder: Path) -> None:
     rows = {}
     for name in ("cameras", "images", "points3D"):
         file = model_folder / f"{name}.txt"
-        rows[name] = [line.split() for line in file.read_text().splitlines() if not line.startswith("#")]
+        rows[name] = [
+            line.split() for line in file.read_text().splitlines() if not line.startswith("#")
+        ]
         file.unlink()
     content = struct.pack("<Q", len(rows["cameras"]))
     for number, model, width, height, *params in rows["cameras"]:
@@ -128,7 +156,11 @@ def make_binary(model_folder: Path) -> None:
     (model_folder / "cameras.bin").write_bytes(content)
     content = struct.pack("<Q", len(rows["images"]) // 2)
     for image, sights in zip(rows["images"][::2], rows["images"][1::2], strict=True):
-        content += struct.pack("<i7di", int(image[0]), *map(float, image[1:8]), int(image[8])) + image[9].encode() + b"\0"
+        content += (
+            struct.pack("<i7di", int(image[0]), *map(float, image[1:8]), int(image[8]))
+            + image[9].encode()
+            + b"\0"
+        )
         content += struct.pack("<Q", len(sights) // 3)
         for u, v, point in zip(sights[::3], sights[1::3], sights[2::3], strict=True):
             content += struct.pack("<ddq", float(u), float(v), int(point))
@@ -136,7 +168,12 @@ def make_binary(model_folder: Path) -> None:
     content = struct.pack("<Q", len(rows["points3D"]))
     for point in rows["points3D"]:
         content += struct.pack(
-            "<Q3d3BdQ", int(point[0]), *map(float, point[1:4]), *map(int, point[4:7]), float(point[7]), len(point[8:]) // 2
+            "<Q3d3BdQ",
+            int(point[0]),
+            *map(float, point[1:4]),
+            *map(int, point[4:7]),
+            float(point[7]),
+            len(point[8:]) // 2,
         )
         content += struct.pack(f"<{len(point[8:])}i", *map(int, point[8:]))
     (model_folder / "points3D.bin").write_bytes(content)
@@ -166,4 +203,7 @@ def refusal(path: Path, layout: str | None = None) -> str:
 
 def mean_colours(capture: Capture, name: str) -> list[tuple[int, ...]]:
     """(frame, camera) as the pictures themselves tell them."""
-    return [tuple(round((float(image[..., c].mean()) - 30) / 20) for c in (0, 1)) for image in capture.frames(name)]
+    return [
+        tuple(round((float(image[..., c].mean()) - 30) / 20) for c in (0, 1))
+        for image in capture.frames(name)
+    ]

@@ -1,4 +1,6 @@
-"""Tiny valid captures of the layouts of MeetRoom, Technicolor and Google Immersive: the rig of `captures`."""
+"""Tiny valid captures of the layouts of MeetRoom, Technicolor and Google Immersive: the rig of
+`captures`.
+"""
 
 import json
 import shutil
@@ -46,13 +48,19 @@ def write_extracted(folder: Path, names: Sequence[str] = PAIR) -> Path:
     """What StreamRF's script makes of the videos: a folder per instant."""
     for frame in range(N_INSTANTS):
         for index, name in enumerate(names):
-            write_image(folder / f"{frame:04d}" / "images" / f"{name}.png", make_image(index, frame))
+            write_image(
+                folder / f"{frame:04d}" / "images" / f"{name}.png", make_image(index, frame)
+            )
         write_poses(folder / f"{frame:04d}", make_rig(names))
     return folder
 
 
-def write_panoptic(folder: Path, names: Sequence[str] = ("0", "3", "10"), held_out: Sequence[str] = ("3",)) -> Path:
-    """Folders of images per camera, and the calibration of each instant: those held out in the second file."""
+def write_panoptic(
+    folder: Path, names: Sequence[str] = ("0", "3", "10"), held_out: Sequence[str] = ("3",)
+) -> Path:
+    """Folders of images per camera, and the calibration of each instant: those held out in the
+    second file.
+    """
     rig = make_rig(names)
     for index, name in enumerate(names):
         for frame in range(N_INSTANTS):
@@ -62,7 +70,9 @@ def write_panoptic(folder: Path, names: Sequence[str] = ("0", "3", "10"), held_o
         meta: dict[str, Any] = {"w": rig[0].width, "h": rig[0].height}
         meta["k"] = [[camera.K.tolist() for camera in cameras]] * N_INSTANTS
         meta["w2c"] = [[camera.world_to_camera.tolist() for camera in cameras]] * N_INSTANTS
-        meta["fn"] = [[f"{camera.name}/{frame:06d}.png" for camera in cameras] for frame in range(N_INSTANTS)]
+        meta["fn"] = [
+            [f"{camera.name}/{frame:06d}.png" for camera in cameras] for frame in range(N_INSTANTS)
+        ]
         meta["cam_id"] = [[int(camera.name) for camera in cameras]] * N_INSTANTS
         (folder / file).write_text(json.dumps(meta))
     return folder
@@ -72,7 +82,9 @@ def write_frame_folders(folder: Path, names: Sequence[str] = PAIR) -> Path:
     """3DGStream's folder per instant, with a COLMAP model in the first."""
     for frame in range(N_INSTANTS):
         for index, name in enumerate(names):
-            write_image(folder / f"frame{frame:06d}" / "images" / f"{name}.png", make_image(index, frame))
+            write_image(
+                folder / f"frame{frame:06d}" / "images" / f"{name}.png", make_image(index, frame)
+            )
     write_colmap_model(folder / "frame000000" / "sparse" / "0", [f"{name}.png" for name in names])
     return folder
 
@@ -84,7 +96,9 @@ def technicolor_row(camera: Camera) -> list[float]:
     return [*focal, qw, qx, qy, qz, *camera.translation]
 
 
-def write_technicolor(folder: Path, names: Sequence[str] = PAIR, first: int = 1, pictures: str = ".") -> Path:
+def write_technicolor(
+    folder: Path, names: Sequence[str] = PAIR, first: int = 1, pictures: str = "."
+) -> Path:
     """Pictures of all cameras in one folder, at a 32nd of the calibration's size."""
     lines = ["# f cu cv ar sk  qw qx qy qz  tx ty tz"]
     for index, camera in enumerate(make_rig(names, *TECHNICOLOR_SIZE)):
@@ -104,9 +118,17 @@ def write_technicolor_with_depth(folder: Path) -> Path:
 
 def immersive_model(camera: Camera, name: str) -> dict[str, Any]:
     """A camera of the rig with the lens of the README's example."""
-    pose = {"position": camera.centre.tolist(), "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist()}
+    pose = {
+        "position": camera.centre.tolist(),
+        "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist(),
+    }
     K = {"focal_length": camera.K[0, 0], "principal_point": camera.K[:2, 2].tolist()}
-    return README_VIEW | pose | K | {"name": name, "width": float(camera.width), "height": float(camera.height)}
+    return (
+        README_VIEW
+        | pose
+        | K
+        | {"name": name, "width": float(camera.width), "height": float(camera.height)}
+    )
 
 
 def write_models(folder: Path, models: object) -> None:
@@ -118,7 +140,9 @@ def write_immersive(folder: Path, names: Sequence[str] = PAIR) -> Path:
     models = []
     for index, camera in enumerate(make_rig(names)):
         name = f"camera_{index + 1:04d}"
-        write_video(folder / f"{name}.mp4", (make_image(index, frame) for frame in range(N_INSTANTS)), FPS)
+        write_video(
+            folder / f"{name}.mp4", (make_image(index, frame) for frame in range(N_INSTANTS)), FPS
+        )
         models.append(immersive_model(camera, name))
     write_models(folder, models)
     return folder

@@ -1,4 +1,6 @@
-"""Code for a process whose package lacks parts; in a checkout an editable install would find again what was taken away."""
+"""Code for a process whose package lacks parts; in a checkout an editable install would find again
+what was taken away.
+"""
 
 # Runs commands in one process: command -> exit status or message, and what it wrote.
 RUN_COMMANDS = """
@@ -17,4 +19,4 @@ def run_commands(commands):
                 code = end.code
         ended[command] = [code, output.getvalue()]
     return ended
-"""
+"""  # noqa: E501

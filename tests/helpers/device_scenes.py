@@ -1,4 +1,6 @@
-"""Instants of the demo room that ships, a few small frames with depth by stereo: what the online step is made for."""
+"""Instants of the demo room that ships, a few small frames with depth by stereo: what the online
+step is made for.
+"""
 
 from functools import cache
 
@@ -14,19 +16,26 @@ COUNT = 3
 
 @cache
 def room_instants() -> list[Instant]:
-    """Three instants of one camera's view, by its four nearest; the depth of each by its nearest partner, wrong in places."""
+    """Three instants of one camera's view, by its four nearest; the depth of each by its nearest
+    partner, wrong in places.
+    """
     capture = open_capture(packed_room("demo")).resized(*SIZE, "area")
     target = capture.camera("cam05")
     cameras = nearest_cameras(target, capture.cameras, 4)
     partners = [nearest_cameras(camera, capture.cameras, 1)[0] for camera in cameras]
     names = {camera.name for camera in (*cameras, *partners)}
     frames = {name: list(capture.frames(name, 0, COUNT)) for name in names}
-    estimators = [DepthEstimator(*pair, DepthOptions()) for pair in zip(cameras, ([each] for each in partners), strict=True)]
+    estimators = [
+        DepthEstimator(*pair, DepthOptions())
+        for pair in zip(cameras, ([each] for each in partners), strict=True)
+    ]
     instants = []
     for index in range(COUNT):
         views = []
         for camera, partner, estimator in zip(cameras, partners, estimators, strict=True):
             found = estimator.estimate(frames[camera.name][index], [frames[partner.name][index]])
-            views.append(SourceView(camera, frames[camera.name][index], found.depth, found.confidence))
+            views.append(
+                SourceView(camera, frames[camera.name][index], found.depth, found.confidence)
+            )
         instants.append(Instant(index, target, tuple(views), capture.units_per_metre))
     return instants

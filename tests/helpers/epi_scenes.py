@@ -1,4 +1,6 @@
-"""Textured planes seen from a camera that moves sideways, rendered exactly: for measures of view consistency."""
+"""Textured planes seen from a camera that moves sideways, rendered exactly: for measures of view
+consistency.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,10 +36,14 @@ class Plane:
     def seen(self, centre: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """The same, inf where a ray passes beside the plane's ends."""
         distance = self.hit(centre, rays)
-        return np.where(np.abs(centre[0] + distance * rays[..., 0]) < self.half_width, distance, np.inf)
+        return np.where(
+            np.abs(centre[0] + distance * rays[..., 0]) < self.half_width, distance, np.inf
+        )
 
     def colour(self, points: np.ndarray) -> np.ndarray:
-        """A sum of waves over world x and y, (..., 3) in [0, 1]; the finest has a period of about 9 px."""
+        """A sum of waves over world x and y, (..., 3) in [0, 1]; the finest has a period of about 9
+        px.
+        """
         random = np.random.default_rng([7, self.seed])
         waves = random.uniform(-1, 1, (16, 2)) * (17.0, 12.0)
         phases, mix = random.uniform(0, 2 * np.pi, 16), random.normal(0, 0.11, (16, 3))
@@ -68,14 +74,17 @@ def look(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image in [0, 1] and exact depth.
 
-    With `depth_factor`, the image as a renderer makes it that takes its colours from a camera at `source_x` by a depth that is
-    wrong by that factor: each pixel shows what the source sees in the direction of the wrong point.
+    With `depth_factor`, the image as a renderer makes it that takes its colours from a camera at
+    `source_x` by a depth that is wrong by that factor: each pixel shows what the source sees in the
+    direction of the wrong point.
     """
     fine = camera.resized(RAYS * camera.width, camera.height)
     rays = fine.rays()
     hits = _hits(planes, fine.centre, rays)
     depth, colour, source = hits.min(axis=0), np.zeros(rays.shape), np.array([source_x, 0.0, 0.0])
-    for plane, mine in zip(planes, hits.argmin(axis=0)[None] == np.arange(len(planes))[:, None, None], strict=True):
+    for plane, mine in zip(
+        planes, hits.argmin(axis=0)[None] == np.arange(len(planes))[:, None, None], strict=True
+    ):
         points = fine.centre + depth_factor * depth[mine][:, None] * rays[mine]
         if depth_factor != 1:
             points = source + (points - source) * plane.hit(source, points - source)[:, None]
@@ -105,7 +114,8 @@ def rendered(
     Args:
         planes: the scene.
         cameras: the path; `path()` if None.
-        depth_factors: each pose is rendered with a depth wrong by its factor, from a source camera left of the path.
+        depth_factors: each pose is rendered with a depth wrong by its factor, from a source camera
+            left of the path.
         own_depth: the poses carry that wrong depth, not the true one.
     """
     cameras = cameras or path()
@@ -113,10 +123,24 @@ def rendered(
     for index, camera in enumerate(cameras):
         factor = 1.0 if depth_factors is None else depth_factors[index]
         image, depth = look(planes, camera, factor, source_x=-0.8)
-        poses.append(PathPose(camera, quantise(image), depth * np.float32(factor if own_depth else 1), sources_of(camera)))
+        poses.append(
+            PathPose(
+                camera,
+                quantise(image),
+                depth * np.float32(factor if own_depth else 1),
+                sources_of(camera),
+            )
+        )
     return poses
 
 
-def changed(poses: Sequence[PathPose], change: Callable[[int, np.ndarray], np.ndarray]) -> list[PathPose]:
-    """The same poses with other images: `change` takes the number of a pose and its image in [0, 1], and may leave [0, 1]."""
-    return [replace(pose, image=quantise(change(index, pose.image / 255.0))) for index, pose in enumerate(poses)]
+def changed(
+    poses: Sequence[PathPose], change: Callable[[int, np.ndarray], np.ndarray]
+) -> list[PathPose]:
+    """The same poses with other images: `change` takes the number of a pose and its image in [0,
+    1], and may leave [0, 1].
+    """
+    return [
+        replace(pose, image=quantise(change(index, pose.image / 255.0)))
+        for index, pose in enumerate(poses)
+    ]

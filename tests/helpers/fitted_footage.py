@@ -54,8 +54,11 @@ def rig(count: int = 6) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def wall(across: int = 20, down: int = 15, colours: np.ndarray | None = None, scale: float = 0.16) -> GaussianCloud:
-    """A wall of opaque Gaussians, wider than what the cameras of `rig` see of it; its middle stands out.
+def wall(
+    across: int = 20, down: int = 15, colours: np.ndarray | None = None, scale: float = 0.16
+) -> GaussianCloud:
+    """A wall of opaque Gaussians, wider than what the cameras of `rig` see of it; its middle stands
+    out.
 
     Args:
         across: how many side by side.
@@ -66,15 +69,22 @@ def wall(across: int = 20, down: int = 15, colours: np.ndarray | None = None, sc
     random = np.random.default_rng(0)
     x, y = np.meshgrid(np.linspace(-2.6, 2.6, across), np.linspace(-2.0, 2.0, down))
     depth = np.where(x**2 + y**2 < 0.5, -0.6, 0.0)
-    places = np.stack([x, y, depth], axis=-1).reshape(-1, 3) + random.normal(0, 0.02, (across * down, 3))
-    waves = np.stack([np.sin(3 * x + y), np.sin(2 * y - 2 * x + 1), np.cos(2 * x + 3 * y)], axis=-1).reshape(-1, 3)
+    places = np.stack([x, y, depth], axis=-1).reshape(-1, 3) + random.normal(
+        0, 0.02, (across * down, 3)
+    )
+    waves = np.stack(
+        [np.sin(3 * x + y), np.sin(2 * y - 2 * x + 1), np.cos(2 * x + 3 * y)], axis=-1
+    ).reshape(-1, 3)
     paint = 0.5 + 0.35 * waves if colours is None else colours
     means, painted = (torch.as_tensor(values, dtype=torch.float32) for values in (places, paint))
     return GaussianCloud.of_points(means, painted, scale=scale, opacity=0.9, degree=1)
 
 
 def footage_of(
-    cloud_at: Callable[[float], GaussianCloud], folder: Path, instants: int = 4, cameras: tuple[Camera, ...] | None = None
+    cloud_at: Callable[[float], GaussianCloud],
+    folder: Path,
+    instants: int = 4,
+    cameras: tuple[Camera, ...] | None = None,
 ) -> Footage:
     """Pictures and depth of a cloud, at times from 0 to 1.
 
@@ -93,8 +103,12 @@ def footage_of(
             with torch.no_grad():
                 picture = render_gaussians(cloud, camera)
             frames[camera.name].append(quantise(picture.image.clamp(max=1).numpy()))
-            depth = np.where(picture.alpha.numpy() > 0.5, picture.depth.numpy(), 0).astype(np.float32)
+            depth = np.where(picture.alpha.numpy() > 0.5, picture.depth.numpy(), 0).astype(
+                np.float32
+            )
             store.write(camera.name, index, DepthMap(depth, (depth > 0).astype(np.float32)))
     sources = {name: StoredFrames(np.stack(images)) for name, images in frames.items()}
     keys = {camera.name: camera.name for camera in cameras}
-    return Footage(cameras, range(instants), 30.0 if instants > 1 else 0.0, 1.0, 0, sources, keys, store)
+    return Footage(
+        cameras, range(instants), 30.0 if instants > 1 else 0.0, 1.0, 0, sources, keys, store
+    )

@@ -23,7 +23,14 @@ from helpers.community_layouts import (
     write_panoptic,
     write_technicolor_with_depth,
 )
-from helpers.small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
+from helpers.small_layouts import (
+    NUMBERS,
+    write_capture_toml,
+    write_easymocap,
+    write_frames,
+    write_multipleview,
+    write_nerfstudio,
+)
 
 PAIR = ("cam00", "cam01")
 ENDLESS_BYTES = 8 << 30  # a sparse file: it takes no room
@@ -38,7 +45,10 @@ def write_outdoor(folder: Path) -> Path:
     for name in NUMBERS:
         write_frames(folder / "mask" / name, 0)
         write_image(folder / "bkgd" / f"{name}.png", make_image(0, 0))
-    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    header = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float "
+        "y\nproperty float z\nend_header\n"
+    )
     (folder / "background.ply").write_text(header + "0 0 3\n0 0 7\n0.1 0 9\n")
     return folder
 
@@ -60,8 +70,17 @@ def write_spaces(folder: Path) -> Path:
     at = []
     for index, camera in enumerate(make_rig(("cam_00", "cam_01"))):
         write_image(folder / camera.name / "image_000.png", make_image(index, 0))
-        view = {"principal_point": [32.0, 24.0], "pixel_aspect_ratio": 1.0, "focal_length": 57.6, "width": 64.0, "height": 48.0}
-        pose = {"position": camera.centre.tolist(), "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist()}
+        view = {
+            "principal_point": [32.0, 24.0],
+            "pixel_aspect_ratio": 1.0,
+            "focal_length": 57.6,
+            "width": 64.0,
+            "height": 48.0,
+        }
+        pose = {
+            "position": camera.centre.tolist(),
+            "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist(),
+        }
         at.append({**view, **pose, "relative_path": f"{camera.name}/image_000.png"})
     (folder / "models.json").write_text(json.dumps([at]))
     return folder
@@ -72,7 +91,9 @@ def write_rgbd(folder: Path) -> Path:
     for index, camera in enumerate(make_rig(PAIR)):
         write_image(folder / "color" / f"{index}.png", make_image(index, 0))
         (folder / "depth").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((24, 32), 3000 + index, np.uint16))
+        cv2.imwrite(
+            str(folder / "depth" / f"{index}.png"), np.full((24, 32), 3000 + index, np.uint16)
+        )
         (folder / "pose").mkdir(exist_ok=True)
         np.savetxt(folder / "pose" / f"{index}.txt", np.linalg.inv(camera.world_to_camera), "%f")
     (folder / "intrinsic").mkdir()
@@ -113,14 +134,22 @@ CAPTURES: dict[str, Callable[[Path], Path]] = {
     "enerf-outdoor": write_outdoor,
     "colmap": write_binary_colmap,
     "nerfstudio": write_nerfstudio,
-    "qualisys": lambda folder: write_beside_frames(folder, lambda it: write_qualisys(it / "rig.qca.txt", turned_rig(PAIR))),
-    "anipose": lambda folder: write_beside_frames(folder, lambda it: write_anipose(it / "rig.toml", turned_rig(PAIR))),
-    "opencv": lambda folder: write_beside_frames(folder, lambda it: write_opencv(it, turned_rig(PAIR))),
+    "qualisys": lambda folder: write_beside_frames(
+        folder, lambda it: write_qualisys(it / "rig.qca.txt", turned_rig(PAIR))
+    ),
+    "anipose": lambda folder: write_beside_frames(
+        folder, lambda it: write_anipose(it / "rig.toml", turned_rig(PAIR))
+    ),
+    "opencv": lambda folder: write_beside_frames(
+        folder, lambda it: write_opencv(it, turned_rig(PAIR))
+    ),
 }
 
 
 def read_everything(path: Path) -> str:
-    """Open a capture and read all that is in it; its layout, or the line with which it was refused."""
+    """Open a capture and read all that is in it; its layout, or the line with which it was
+    refused.
+    """
     try:
         capture = open_capture(path)
         for name in capture.camera_names:
@@ -142,11 +171,40 @@ def read_everything(path: Path) -> str:
 
 
 TOKENS = [
-    b"\0", b"\n", b"\xff", b"-", b"nan", b"inf", b"1e999", b"-1", b"0", b"9" * 400, b"[" * 3000, b"{", b"]", b'"', b"'", b"null",
-    b"true", b"!!python/object/apply:os.system ['id']", b"&a *a", b"../..", b"/dev/zero", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"\r",
-    b": ", b"#", b"\x80\x04\x95", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\x89HDF\r\n\x1a\n", b"\\u0000", b"\\ud800",
+    b"\0",
+    b"\n",
+    b"\xff",
+    b"-",
+    b"nan",
+    b"inf",
+    b"1e999",
+    b"-1",
+    b"0",
+    b"9" * 400,
+    b"[" * 3000,
+    b"{",
+    b"]",
+    b'"',
+    b"'",
+    b"null",
+    b"true",
+    b"!!python/object/apply:os.system ['id']",
+    b"&a *a",
+    b"../..",
+    b"/dev/zero",
+    b"\xef\xbb\xbf",
+    b"\xed\xa0\x80",
+    b"\r",
+    b": ",
+    b"#",
+    b"\x80\x04\x95",
+    b"PK\x03\x04",
+    b"\x89PNG\r\n\x1a\n",
+    b"\x89HDF\r\n\x1a\n",
+    b"\\u0000",
+    b"\\ud800",
     b"%YAML:1.0\n",
-]  # fmt: skip
+]
 
 
 def damaged(content: bytes, edit: tuple[str, object]) -> bytes:
@@ -178,7 +236,9 @@ def random_edit(random: Random) -> tuple[str, object]:
     kind = random.choice(("flip", "cut", "replace", "insert", "overwrite", "repeat", "drop"))
     match kind:
         case "flip":
-            return kind, [(random.random(), random.randint(1, 255)) for _ in range(random.randint(1, 6))]
+            return kind, [
+                (random.random(), random.randint(1, 255)) for _ in range(random.randint(1, 6))
+            ]
         case "cut":
             return kind, random.random()
         case "replace":
@@ -203,7 +263,9 @@ def add_long_key(path: Path) -> None:
     if content.startswith(b"{"):
         path.write_bytes(b'{"' + LONG_KEY + b'": 1, ' + content[1:])
     else:
-        head, line_end, rest = content.partition(b"\n") if content.startswith(b"%YAML") else (b"", b"", content)
+        head, line_end, rest = (
+            content.partition(b"\n") if content.startswith(b"%YAML") else (b"", b"", content)
+        )
         sign = b" = 1" if path.suffix == ".toml" else b": 1"
         path.write_bytes(head + line_end + LONG_KEY + sign + b"\n" + rest)
 

@@ -1,4 +1,6 @@
-"""Random small scenes for the geometric kernels: cameras around a rough surface, off-centre and of different sizes."""
+"""Random small scenes for the geometric kernels: cameras around a rough surface, off-centre and of
+different sizes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,10 +19,18 @@ seeds = st.integers(0, 2**32 - 1)
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
 
 
-def random_camera(random: np.random.Generator, width: int, height: int, name: str = "camera") -> Camera:
+def random_camera(
+    random: np.random.Generator, width: int, height: int, name: str = "camera"
+) -> Camera:
     """A camera near the origin that looks roughly along z, its principal point off the centre."""
     focal = 1.1 * max(width, height, 12)
-    K = np.array([[focal, 0, width / 2 + random.normal()], [0, focal * 1.05, height / 2 + random.normal()], [0, 0, 1]])
+    K = np.array(
+        [
+            [focal, 0, width / 2 + random.normal()],
+            [0, focal * 1.05, height / 2 + random.normal()],
+            [0, 0, 1],
+        ]
+    )
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = Rotation.from_rotvec(random.normal(0, 0.03, 3)).as_matrix()
     world_to_camera[:3, 3] = random.normal(0, 0.08, 3)
@@ -57,7 +67,8 @@ def random_source(random: np.random.Generator, camera: Camera, channels: int) ->
     return view_of(camera, random_depth(random, camera), features)
 
 
-WeightedDepth = tuple[Camera, np.ndarray, np.ndarray]  # a camera, its depth and the weight of each pixel
+# a camera, its depth and the weight of each pixel
+WeightedDepth = tuple[Camera, np.ndarray, np.ndarray]
 
 
 def columns(views: Sequence[WeightedDepth]) -> tuple[Sequence, ...]:
@@ -65,7 +76,9 @@ def columns(views: Sequence[WeightedDepth]) -> tuple[Sequence, ...]:
     return tuple(zip(*views, strict=True)) or ((), (), ())
 
 
-def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[WeightedDepth]:
+def random_views(
+    random: np.random.Generator, size: tuple[int, int], count: int
+) -> list[WeightedDepth]:
     """Cameras with depth and the weights that it is fused by."""
     views = []
     for _ in range(count):
@@ -89,8 +102,13 @@ def image8(random: np.random.Generator, height: int, width: int) -> np.ndarray:
     return random.integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
-def weighted_views(random: np.random.Generator, count: int, size: tuple[int, int]) -> tuple[list[SourceView], list[float]]:
+def weighted_views(
+    random: np.random.Generator, count: int, size: tuple[int, int]
+) -> tuple[list[SourceView], list[float]]:
     """Source views and what each counts."""
     cameras = [random_camera(random, *size, name=f"cam{n}") for n in range(count)]
-    views = [view_of(camera, random_depth(random, camera), image8(random, camera.height, camera.width)) for camera in cameras]
+    views = [
+        view_of(camera, random_depth(random, camera), image8(random, camera.height, camera.width))
+        for camera in cameras
+    ]
     return views, random.uniform(0.1, 1, count).tolist()

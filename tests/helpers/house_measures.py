@@ -1,7 +1,8 @@
-"""How much code a reader has to carry: tokens, modules that a task reaches, names that parts use, pronouns as names.
+"""How much code a reader has to carry: tokens, modules that a task reaches, names that parts use,
+pronouns as names.
 
-Size is counted in tokens of code, without comments, docstrings and line breaks: lines can be made wider, tokens cannot.
-``python tests/helpers/house_measures.py`` prints the figures of the checkout.
+Size is counted in tokens of code, without comments, docstrings and line breaks: lines can be made
+wider, tokens cannot. ``python tests/helpers/house_measures.py`` prints the figures of the checkout.
 """
 
 import ast
@@ -21,17 +22,21 @@ NOT_CODE = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.ENCODING, tokenize.ENDMARKER),
     *(tokenize.INDENT, tokenize.DEDENT),
 }
-# Words that stand for a value without naming it. `at` and `left` are coordinates and sides too, and are not counted.
+# Words that stand for a value without naming it. `at` and `left` are coordinates and sides too, and
+# are not counted.
 WORDS = (
-    "each one ones other others own kept found shown seen known chosen given taken made asked wanted told right_one whole"
-    " same such these those that this it them theirs ours mine here there now then of with_ rest left_over used read_ done"
-    " held drawn written measured looked missing_ones both all_of first_of anything something nothing what who which"
+    "each one ones other others own kept found shown seen known chosen given taken made asked "
+    "wanted told right_one whole same such these those that this it them theirs ours mine here "
+    "there now then of with_ rest left_over used read_ done held drawn written measured looked "
+    "missing_ones both all_of first_of anything something nothing what who which"
 )
 PRONOUNS = frozenset(WORDS.split())
 
 
 def code_tokens(file: Path) -> int:
-    """Count the tokens of a file; a text that begins a statement is a docstring and counts for nothing."""
+    """Count the tokens of a file; a text that begins a statement is a docstring and counts for
+    nothing.
+    """
     n_tokens, begins_statement = 0, True
     with file.open("rb") as stream:
         for token in tokenize.tokenize(stream.readline):
@@ -58,14 +63,20 @@ def tokens_of_rooms() -> Counter[str]:
 
 @cache
 def imported_names(file: Path) -> frozenset[tuple[str, str]]:
-    """Module and name of everything that a file imports of the package, also inside functions, but for type checkers."""
+    """Module and name of everything that a file imports of the package, also inside functions, but
+    for type checkers.
+    """
     names: set[tuple[str, str]] = set()
 
     def visit(node: ast.AST) -> None:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
                 continue
-            if isinstance(child, ast.ImportFrom) and child.module and child.module.split(".")[0] == "ggvs_eval":
+            if (
+                isinstance(child, ast.ImportFrom)
+                and child.module
+                and child.module.split(".")[0] == "ggvs_eval"
+            ):
                 names.update(_origin(child.module, alias.name) for alias in child.names)
             elif isinstance(child, ast.Import):
                 names.update((_short(alias.name), "*") for alias in child.names)
@@ -107,11 +118,15 @@ def count_lines(names: Iterable[str]) -> int:
 def core_names_in_contrib() -> set[tuple[str, str]]:
     """Names of the core that parts of contrib import."""
     of_contrib = [imported_names(file) for module, file in modules().items() if is_contrib(module)]
-    return {(module, name) for names in of_contrib for module, name in names if not is_contrib(module)}
+    return {
+        (module, name) for names in of_contrib for module, name in names if not is_contrib(module)
+    }
 
 
 def pronouns_as_names(names: Iterable[str]) -> Counter[str]:
-    """How often modules bind each pronoun as a name: by assignments, loops, comprehensions and parameters."""
+    """How often modules bind each pronoun as a name: by assignments, loops, comprehensions and
+    parameters.
+    """
     counts: Counter[str] = Counter()
     for name in names:
         for node in ast.walk(parsed(modules()[name])):
@@ -129,4 +144,7 @@ if __name__ == "__main__":
         reached = reached_modules(f"pipelines.run.{task}")
         print(f"{task} reaches {len(reached)} modules, {count_lines(reached):,} lines")
     print(f"contrib imports {len(core_names_in_contrib())} names of the core")
-    print(f"{pronouns_as_names(modules()).total():,} pronouns as names: {pronouns_as_names(modules()).most_common(8)}")
+    print(
+        f"{pronouns_as_names(modules()).total():,} pronouns as names: "
+        f"{pronouns_as_names(modules()).most_common(8)}"
+    )

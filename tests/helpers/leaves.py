@@ -1,4 +1,6 @@
-"""Leaves of the package: parts that scoring and reporting anybody's renders can do without, each by its modules."""
+"""Leaves of the package: parts that scoring and reporting anybody's renders can do without, each by
+its modules.
+"""
 
 from helpers.house_measures import imported_names
 from helpers.import_graph import modules
@@ -17,20 +19,34 @@ LEAVES: dict[str, tuple[str, ...]] = {
     ),
     "online method": (
         *("pipelines.online", "pipelines.methods.ours"),
-        *(f"geometry.{name}" for name in ("contested_depth", "difference_mask", "per_pixel", "splat", "tsdf", "warp")),
+        *(
+            f"geometry.{name}"
+            for name in ("contested_depth", "difference_mask", "per_pixel", "splat", "tsdf", "warp")
+        ),
     ),
     "networks": ("raft_config", "raft_update", "residual_block"),
     "matcher sgbm": ("pipelines.offline.stereo.sgbm",),
     "matcher live": ("pipelines.offline.stereo.live",),
     "matcher sweep": ("pipelines.offline.plane_sweep",),
-    "matcher raft": ("pipelines.offline.stereo.raft_matcher", "pipelines.offline.stereo.raft_stereo"),
+    "matcher raft": (
+        "pipelines.offline.stereo.raft_matcher",
+        "pipelines.offline.stereo.raft_stereo",
+    ),
     # With what any matcher of pairs is made of.
     "depth": ("pipelines.offline.depth", "pipelines.offline.stereo"),
     "IterMVS": ("pipelines.offline.itermvs",),
     "sensor depth": ("pipelines.offline.sensor",),
-    "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate", "pipelines.run.calibration_of_run"),
+    "calibration": (
+        "pipelines.offline.calibration",
+        "pipelines.commands.calibrate",
+        "pipelines.run.calibration_of_run",
+    ),
     "depth page": ("pipelines.offline.export", "pipelines.run.depth_outputs", "reports.depth_page"),
-    "check": ("pipelines.inspection.capture", "pipelines.commands.check", "pipelines.commands.evaluate"),
+    "check": (
+        "pipelines.inspection.capture",
+        "pipelines.commands.check",
+        "pipelines.commands.evaluate",
+    ),
     "doctor": (
         "pipelines.inspection.renders",
         "pipelines.run.seen_views",
@@ -55,7 +71,11 @@ LEAVES: dict[str, tuple[str, ...]] = {
     "section error_budget": ("reports.tables.error_budget",),
     "section drift": ("reports.tables.drift", "statistics.drift"),
     "section paper": ("reports.tables.reproduction", "reports.tables.published"),
-    "pictures of sections": ("reports.page.pictures", "reports.figures.regions", "reports.figures.data_uris"),
+    "pictures of sections": (
+        "reports.page.pictures",
+        "reports.figures.regions",
+        "reports.figures.data_uris",
+    ),
     "figures for papers": (
         *("pipelines.commands.figure", "reports.figures.paper_figures"),
         *("reports.figures.look", "reports.figures.sweep_figures"),
@@ -100,14 +120,18 @@ def leaf_of(module: str) -> str | None:
 
 
 def needs_of(own: set[str]) -> set[str]:
-    """Return the modules of other leaves that some modules import, directly or not, and the packages that they stand in."""
+    """Return the modules of other leaves that some modules import, directly or not, and the
+    packages that they stand in.
+    """
     needed = set(own)
     waiting = [*own]
     while waiting:
         module = waiting.pop()
         imported = {name for name, _ in imported_names(modules()[module])}
         packages = {module.rsplit(".", count)[0] for count in range(1, module.count(".") + 1)}
-        more = {name for name in imported | packages if name in modules() and leaf_of(name)} - needed
+        more = {
+            name for name in imported | packages if name in modules() and leaf_of(name)
+        } - needed
         needed |= more
         waiting += more
     return needed - own

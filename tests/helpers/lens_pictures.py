@@ -28,7 +28,9 @@ def undistorted_points(lens: Lens, uv: np.ndarray) -> np.ndarray:
         return cv2.fisheye.undistortPoints(points, lens.K, coefficients, P=lens.K).reshape(uv.shape)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # OpenCV 4 and 5
-    return undistort(points, lens.K, coefficients, R=np.eye(3), P=lens.K, criteria=criteria).reshape(uv.shape)
+    return undistort(
+        points, lens.K, coefficients, R=np.eye(3), P=lens.K, criteria=criteria
+    ).reshape(uv.shape)
 
 
 def through_lens(lens: Lens, gain: float = 1.0) -> Image8:

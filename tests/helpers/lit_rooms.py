@@ -1,4 +1,6 @@
-"""Rooms whose light is computed once for all processes of a session: it takes seconds of ray casting, and many tests film."""
+"""Rooms whose light is computed once for all processes of a session: it takes seconds of ray
+casting, and many tests film.
+"""
 
 import fcntl
 import time
@@ -65,6 +67,8 @@ def stored_rooms(folder: Path) -> Callable[[int, SceneName], LitRoom]:
 
 
 def light_by_few_rays(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    """An eighth of the rays finds the light that bounces: the same code in a fraction of the time, for nobody else to see."""
+    """An eighth of the rays finds the light that bounces: the same code in a fraction of the time,
+    for nobody else to see.
+    """
     patch.setattr(lighting, "AMBIENT_DIRECTIONS", lighting.AMBIENT_DIRECTIONS // 8)
     patch.setattr(film, "_lit_room", stored_rooms(folder))

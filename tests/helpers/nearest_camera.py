@@ -1,4 +1,6 @@
-"""The smallest method that is fitted: it keeps what the training cameras saw, and shows the image of the nearest one."""
+"""The smallest method that is fitted: it keeps what the training cameras saw, and shows the image
+of the nearest one.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +39,14 @@ class NearestCamera(SceneFitter):
     def fit(self, footage: Footage, folder: Path, progress: Progress) -> None:
         """Copy images; those that are there already were copied by an attempt that died."""
         generator, steps = np.random.default_rng(footage.seed), 0
-        noise = generator.normal(0, self.noise, (footage.cameras[0].height, footage.cameras[0].width, 3))
+        noise = generator.normal(
+            0, self.noise, (footage.cameras[0].height, footage.cameras[0].width, 3)
+        )
         for done, view in enumerate(footage.views, start=1):
-            assert footage.depth(view, footage.indices[0]).shape == footage.image(view, footage.indices[0]).shape[:2]
+            assert (
+                footage.depth(view, footage.indices[0]).shape
+                == footage.image(view, footage.indices[0]).shape[:2]
+            )
             if (folder / view / "last").is_file():
                 continue
             if self.dies_after and steps == self.dies_after:
@@ -50,11 +57,15 @@ class NearestCamera(SceneFitter):
             (folder / view / "last").touch()
             steps += 1
             progress(done, len(footage.views))
-        write_json(folder / "cameras.json", {camera.name: camera.to_json() for camera in footage.cameras})
+        write_json(
+            folder / "cameras.json", {camera.name: camera.to_json() for camera in footage.cameras}
+        )
 
     def load(self, folder: Path) -> "NearestScene":
         """Read the cameras."""
-        return NearestScene(folder, [Camera.from_json(*item) for item in read_json(folder / "cameras.json").items()])
+        return NearestScene(
+            folder, [Camera.from_json(*item) for item in read_json(folder / "cameras.json").items()]
+        )
 
 
 class NearestScene(FittedScene):
@@ -70,7 +81,9 @@ class NearestScene(FittedScene):
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Show what the nearest camera saw."""
-        nearest = min(self.cameras, key=lambda camera: float(np.linalg.norm(camera.centre - target.centre)))
+        nearest = min(
+            self.cameras, key=lambda camera: float(np.linalg.norm(camera.centre - target.centre))
+        )
         image = read_image(self.folder / nearest.name / f"{index}.png")
         return Rendering(image.astype(np.float32) / 255, seconds={"look up": 0.002})
 

@@ -1,4 +1,5 @@
-"""Videos of one fixed camera whose clean frames are known: a still photograph before which a face moves, and noisy recordings.
+"""Videos of one fixed camera whose clean frames are known: a still photograph before which a face
+moves, and noisy recordings.
 
 Run as a program it prints the tables of benchmarks/RESULTS.md.
 """
@@ -18,12 +19,17 @@ from ggvs_eval.files.video import VideoFrames, write_video
 
 FLICKER_SEED = 5
 HEIGHT, WIDTH, FACE = 240, 304, 88
-Noise = Callable[[np.ndarray], np.ndarray]  # clean frame -> standard deviation of its noise, grey levels
+# clean frame -> standard deviation of its noise, grey levels
+Noise = Callable[[np.ndarray], np.ndarray]
 
 
 @lru_cache(maxsize=4)
-def clean_video(frames: int = 24, speed_px: float = 3.3, height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
-    """A face that goes to and fro before a still photograph, (frames, height, width, 3) uint8; nothing else changes."""
+def clean_video(
+    frames: int = 24, speed_px: float = 3.3, height: int = HEIGHT, width: int = WIDTH
+) -> np.ndarray:
+    """A face that goes to and fro before a still photograph, (frames, height, width, 3) uint8;
+    nothing else changes.
+    """
     photograph = cv2.resize(data.coffee()[:, 40:560], (width, height), interpolation=cv2.INTER_AREA)
     face = cv2.resize(data.astronaut()[20:220, 130:330], (FACE, FACE), interpolation=cv2.INTER_AREA)
     video = np.stack([_place(photograph, face, t, speed_px) for t in range(frames)])
@@ -32,13 +38,19 @@ def clean_video(frames: int = 24, speed_px: float = 3.3, height: int = HEIGHT, w
 
 
 def panned_video(frames: int = 12, step_px: int = 5, size: int = 160) -> np.ndarray:
-    """A moving window on a picture of gravel: every pixel changes in every frame, (frames, size, size, 3) uint8."""
+    """A moving window on a picture of gravel: every pixel changes in every frame, (frames, size,
+    size, 3) uint8.
+    """
     gravel = np.stack([data.gravel()] * 3, axis=-1)
-    return np.stack([gravel[40 : 40 + size, t * step_px : t * step_px + size] for t in range(frames)])
+    return np.stack(
+        [gravel[40 : 40 + size, t * step_px : t * step_px + size] for t in range(frames)]
+    )
 
 
 def noisy(clean: np.ndarray, sigma: float | Noise, seed: int) -> np.ndarray:
-    """A recording with Gaussian noise, independent in every pixel, channel and frame, rounded to 8 bit."""
+    """A recording with Gaussian noise, independent in every pixel, channel and frame, rounded to 8
+    bit.
+    """
     random = np.random.default_rng(seed)
     return np.stack([_with_noise(frame, sigma, random) for frame in clean])
 
@@ -88,7 +100,8 @@ def _place(photograph: Image8, face: Image8, index: int, speed_px: float) -> Ima
     shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
     cover = cv2.warpAffine(np.ones((FACE, FACE), np.float32), shift, (width, height))[..., None]
     moved = cv2.warpAffine(face.astype(np.float32), shift, (width, height))
-    return round_levels(20 + 0.85 * (photograph * (1 - cover) + moved))  # away from black and white, where noise is cut off
+    # away from black and white, where noise is cut off
+    return round_levels(20 + 0.85 * (photograph * (1 - cover) + moved))
 
 
 def _with_noise(frame: Image8, sigma: float | Noise, random: np.random.Generator) -> Image8:
@@ -97,7 +110,9 @@ def _with_noise(frame: Image8, sigma: float | Noise, random: np.random.Generator
 
 
 def print_tables() -> None:
-    """Print what planted renderings score, and the ceilings beside what perfect renderings score."""
+    """Print what planted renderings score, and the ceilings beside what perfect renderings
+    score.
+    """
     from ggvs_eval.metrics.ceilings import ceilings
     from ggvs_eval.metrics.registry import ceiling_metrics
     from ggvs_eval.metrics.stream import score_view
@@ -111,15 +126,30 @@ def print_tables() -> None:
     for name, video in {"perfect": clean, "second recording": second, **planted(clean)}.items():
         found = measure_flicker(zip(video, captured, strict=True))
         scores = f"{tcc(video, captured):.3f} | {strred(video, captured).strred:.2f}"
-        print(f"| {name} | {scores} | {found.excess:+.2f} | {found.error:.2f} | {found.with_noise:+.2f} |")
-    recordings = {f"white, {sigma}": [noisy(clean, sigma, seed) for seed in (1, 2)] for sigma in (0.6, 1.3, 2.0, 4.0)}
+        print(
+            f"| {name} | {scores} | {found.excess:+.2f} | {found.error:.2f} | "
+            f"{found.with_noise:+.2f} |"
+        )
+    recordings = {
+        f"white, {sigma}": [noisy(clean, sigma, seed) for seed in (1, 2)]
+        for sigma in (0.6, 1.3, 2.0, 4.0)
+    }
     recordings["shot, 1 to 2.2"] = [noisy(clean, shot_noise, seed) for seed in (1, 2)]
     for label, (captured, second) in recordings.items():
         found = ceilings(lambda captured=captured: iter(captured), ceiling_metrics())
-        for kind, video, estimate in (("noise-free", clean, found.noise_free), ("second", second, found.second_recording)):
+        for kind, video, estimate in (
+            ("noise-free", clean, found.noise_free),
+            ("second", second, found.second_recording),
+        ):
             values = score_view(zip(video, captured, strict=True), ceiling_metrics()).values
-            means = {name: np.mean([value for other, _, value in values if other == name]) for name in ceiling_metrics()}
-            print(f"| {label} | {kind} | " + " | ".join(f"{means[name]:.3f} / {estimate[name]:.3f}" for name in means))
+            means = {
+                name: np.mean([value for other, _, value in values if other == name])
+                for name in ceiling_metrics()
+            }
+            print(
+                f"| {label} | {kind} | "
+                + " | ".join(f"{means[name]:.3f} / {estimate[name]:.3f}" for name in means)
+            )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Captures that were filmed once and lie in `tests/data/films`: who needs a capture unpacks one, in milliseconds.
+"""Captures that were filmed once and lie in `tests/data/films`: who needs a capture unpacks one, in
+milliseconds.
 
-Filming itself is tested in `tests/contrib/worlds`. ``python tests/helpers/packed_films.py [NAME ...]`` films them again, after
-a change of the rooms or of an option here; a proof in `tests/contrib/worlds/test_packed_films.py` tells when that is due.
+Filming itself is tested in `tests/contrib/worlds`. ``python tests/helpers/packed_films.py [NAME
+...]`` films them again, after a change of the rooms or of an option here; a proof in
+`tests/contrib/worlds/test_packed_films.py` tells when that is due.
 """
 
 import shutil
@@ -15,18 +17,33 @@ FILMS: dict[str, dict[str, object]] = {
     # Six cameras in two rows, twelve frames, exact depth: what most tests mean by "a capture".
     "small": {"width": 64, "height": 48, "n_frames": 12, "cameras_per_row": 3, "depth_stride": 1},
     # One instant of eight cameras, sharp and without noise: features enough for COLMAP.
-    "calibration": {"width": 640, "height": 480, "n_frames": 1, "cameras_per_row": 4, "noise_sigma_255": 0},
+    "calibration": {
+        "width": 640,
+        "height": 480,
+        "n_frames": 1,
+        "cameras_per_row": 4,
+        "noise_sigma_255": 0,
+    },
     # The same rig, four frames, and a camera path with its true pictures.
     "path": {"width": 64, "height": 48, "n_frames": 4, "cameras_per_row": 3, "path_poses": 5},
     # Four cameras without noise, coded without loss: faults of renders are planted in it.
-    "plain": {"width": 192, "height": 144, "n_frames": 12, "cameras_per_row": 2, "noise_sigma_255": 0, "crf": 0},
+    "plain": {
+        "width": 192,
+        "height": 144,
+        "n_frames": 12,
+        "cameras_per_row": 2,
+        "noise_sigma_255": 0,
+        "crf": 0,
+    },
     # Six cameras, two frames, exact depth of a size at which features are matched.
     "deep": {"width": 160, "height": 120, "n_frames": 2, "cameras_per_row": 3, "depth_stride": 1},
 }
 
 
 def unpack_film(name: str, folder: Path, with_depth: bool = True) -> Path:
-    """Write a packed capture into a new folder, which is returned; its exact depth too, if it was filmed with any."""
+    """Write a packed capture into a new folder, which is returned; its exact depth too, if it was
+    filmed with any.
+    """
     left_out = None if with_depth else shutil.ignore_patterns("depth")
     return Path(shutil.copytree(FILMS_FOLDER / name, folder, ignore=left_out))
 

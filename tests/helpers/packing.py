@@ -15,20 +15,32 @@ from ggvs_eval.files.video import write_video
 from ggvs_eval.run_folder import frame_path
 from ggvs_eval.synthetic import shipped
 from ggvs_eval.synthetic.d3dmv_scene import SCENE
-from ggvs_eval.synthetic.shipped import PATH_IMAGES, PATH_VIDEO, SCENE_COVER, SCENE_VIDEO, packed_room, quick_protocol
+from ggvs_eval.synthetic.shipped import (
+    PATH_IMAGES,
+    PATH_VIDEO,
+    SCENE_COVER,
+    SCENE_VIDEO,
+    packed_room,
+    quick_protocol,
+)
 
 FPS, RENDERS_CRF = 30, 10
 
 
 def pack_room(name: str, folder: Path) -> None:
-    """Make a demo without exact depth that `film_demo` has filmed the room of that name that ships."""
+    """Make a demo without exact depth that `film_demo` has filmed the room of that name
+    that ships.
+    """
     import h5py
 
     packed = packed_room(name)
     shutil.rmtree(packed, ignore_errors=True)
     shutil.copytree(folder, packed, ignore=lambda place, names: _left_out(folder, Path(place)))
     if (folder / PATH_IMAGES).is_dir():
-        _write_lossless(packed / PATH_VIDEO, [read_image(file) for file in sorted((folder / PATH_IMAGES).glob("*.png"))])
+        _write_lossless(
+            packed / PATH_VIDEO,
+            [read_image(file) for file in sorted((folder / PATH_IMAGES).glob("*.png"))],
+        )
     if (folder / SCENE).is_file():
         with h5py.File(folder / SCENE) as file:
             rgb, cover = file["rgb"][:], file["fg_rgb"][..., 3]
@@ -42,10 +54,15 @@ def _left_out(folder: Path, place: Path) -> set[str]:
 
 
 def pack_renders(renders: Path) -> None:
-    """Make the first frames of a method in a run of the demo the renders that ship, ``renders/ours`` when this was written."""
+    """Make the first frames of a method in a run of the demo the renders that ship,
+    ``renders/ours`` when this was written.
+    """
     protocol = quick_protocol()
     for view in protocol.views.test:
-        frames = [read_image(frame_path(renders / view, frame)) for frame in range(protocol.frames.numbers.stop)]
+        frames = [
+            read_image(frame_path(renders / view, frame))
+            for frame in range(protocol.frames.numbers.stop)
+        ]
         write_video(shipped.RENDERS / f"{view}.mp4", frames, FPS, RENDERS_CRF)
 
 
@@ -57,5 +74,9 @@ def _write_lossless(video: Path, images: Sequence[Image8]) -> None:
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt, stream.options = "rgb24", {"crf": "0", "preset": "slow", "threads": "1"}
         for image in images:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
+            container.mux(
+                stream.encode(
+                    av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+                )
+            )
         container.mux(stream.encode())

@@ -15,7 +15,9 @@ class PageReader(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
-        self.addresses += [value for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
+        self.addresses += [
+            value for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}
+        ]
 
     def handle_data(self, data):
         self.texts.append(data.strip())

@@ -3,5 +3,7 @@
 from pathlib import Path
 
 DATA_FOLDER = Path(__file__).parents[1] / "data"
-ROOT = Path(__file__).resolve().parents[2]  # of the checkout; beside an installed wheel there is no more than the tests
-SHARED = ROOT.parent / "shared"  # real captures and oracles; tests that want them skip where they are absent
+# of the checkout; beside an installed wheel there is no more than the tests
+ROOT = Path(__file__).resolve().parents[2]
+# real captures and oracles; tests that want them skip where they are absent
+SHARED = ROOT.parent / "shared"

@@ -1,4 +1,6 @@
-"""Faults of handling planted in the renders of a view: what a script between a method and its folder of frames does wrong."""
+"""Faults of handling planted in the renders of a view: what a script between a method and its
+folder of frames does wrong.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,9 +23,13 @@ SIZE = 192, 144  # pixels of what `film_without_noise` gives
 
 
 def film_without_noise(folder: Path, n_frames: int) -> dict[str, np.ndarray]:
-    """What four cameras of the demo room see without noise, each (T, H, W, 3); honest renders are made of it."""
+    """What four cameras of the demo room see without noise, each (T, H, W, 3); honest renders are
+    made of it.
+    """
     capture = open_capture(unpack_film("plain", folder))
-    return {name: np.stack(list(capture.frames(name, 0, n_frames))) for name in capture.camera_names}
+    return {
+        name: np.stack(list(capture.frames(name, 0, n_frames))) for name in capture.camera_names
+    }
 
 
 @dataclass(frozen=True)
@@ -71,12 +77,18 @@ def flicker(amplitude: float) -> Spoil:
 
 def alternating(amplitude: float) -> Spoil:
     """Every other frame brighter."""
-    return lambda view: lambda index: round_levels(view.rendered(index) * (1 + amplitude * (-1) ** index))
+    return lambda view: (
+        lambda index: round_levels(view.rendered(index) * (1 + amplitude * (-1) ** index))
+    )
 
 
 def blended(share: float) -> Spoil:
     """Some of the truth in every frame."""
-    return lambda view: lambda index: round_levels((1 - share) * view.rendered(index).astype(float) + share * view.truth(index))
+    return lambda view: (
+        lambda index: round_levels(
+            (1 - share) * view.rendered(index).astype(float) + share * view.truth(index)
+        )
+    )
 
 
 def copied(every: int, recode: Callable[[Image8], Image8] = lambda image: image) -> Spoil:
@@ -84,7 +96,9 @@ def copied(every: int, recode: Callable[[Image8], Image8] = lambda image: image)
 
     def spoil(view: ViewFrames) -> FrameReader:
         start = view.frames.start + min(every, len(view.frames)) // 2
-        return lambda index: recode(view.truth(index)) if (index - start) % every == 0 else view.rendered(index)
+        return lambda index: (
+            recode(view.truth(index)) if (index - start) % every == 0 else view.rendered(index)
+        )
 
     return spoil
 
@@ -96,7 +110,9 @@ def reversed_time(view: ViewFrames) -> FrameReader:
 
 def jpeg(quality: int) -> Callable[[Image8], Image8]:
     """What a JPEG file makes of a picture."""
-    return lambda image: cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
+    return lambda image: cv2.imdecode(
+        cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR
+    )
 
 
 PLANTED: Mapping[str, Fault] = {

@@ -1,4 +1,6 @@
-"""Find without a GPU what a CUDA graph cannot record: on the device ``meta`` nothing can be uploaded, nor read by the host."""
+"""Find without a GPU what a CUDA graph cannot record: on the device ``meta`` nothing can be
+uploaded, nor read by the host.
+"""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -7,8 +9,10 @@ from unittest.mock import patch
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-READS = {"_local_scalar_dense", "nonzero", "masked_select", "equal", "unique"}  # operations whose result the host must see
-UPLOADS = ("tensor", "as_tensor", "from_numpy", "asarray")  # functions that make tensors of the host's numbers
+# operations whose result the host must see
+READS = {"_local_scalar_dense", "nonzero", "masked_select", "equal", "unique"}
+# functions that make tensors of the host's numbers
+UPLOADS = ("tensor", "as_tensor", "from_numpy", "asarray")
 
 
 @contextmanager
@@ -19,7 +23,9 @@ def forbidden_operations() -> Iterator[set[str]]:
     class Watch(TorchDispatchMode):
         def __torch_dispatch__(self, func, types, args=(), kwargs=None):
             name, kwargs = func.overloadpacket.__name__, kwargs or {}
-            if name in READS or (name == "_to_copy" and kwargs.get("device") not in (None, args[0].device)):
+            if name in READS or (
+                name == "_to_copy" and kwargs.get("device") not in (None, args[0].device)
+            ):
                 found.add(name)
             return func(*args, **kwargs)
 

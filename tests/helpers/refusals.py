@@ -7,8 +7,12 @@ import pytest
 
 
 @contextmanager
-def refused(error: type[BaseException] | tuple[type[BaseException], ...], *named: str) -> Iterator[pytest.ExceptionInfo]:
-    """Expect an error of one line that names the file, what was wanted, what came, or what to do."""
+def refused(
+    error: type[BaseException] | tuple[type[BaseException], ...], *named: str
+) -> Iterator[pytest.ExceptionInfo]:
+    """Expect an error of one line that names the file, what was wanted, what came, or what
+    to do.
+    """
     with pytest.raises(error) as caught:
         yield caught
     message = str(caught.value)

@@ -1,4 +1,6 @@
-"""Renders of two views and three frames in every layout that others write, and the run folder they are scored in."""
+"""Renders of two views and three frames in every layout that others write, and the run folder they
+are scored in.
+"""
 
 import json
 import tarfile
@@ -25,18 +27,33 @@ METRICS = ("PSNR", "L1", "SDT", "SDV")
 Place = tuple[str, int]
 
 
-def make_run(root: Path, metrics: Sequence[str] = METRICS, frames: range = FRAMES, n_frames: int = N_FRAMES) -> RunFolder:
-    """A run folder as `prepare_truth` leaves it: the captured frames of the test views, nothing rendered."""
+def make_run(
+    root: Path, metrics: Sequence[str] = METRICS, frames: range = FRAMES, n_frames: int = N_FRAMES
+) -> RunFolder:
+    """A run folder as `prepare_truth` leaves it: the captured frames of the test views, nothing
+    rendered.
+    """
     run = RunFolder(root)
     measurement = Measurement(tuple(metrics))
     protocol = Protocol(
-        "tiny", "Tiny room", Views(VIEWS, "by hand"), Frames(frames.start, len(frames)), Synthesis(2), measurement
+        "tiny",
+        "Tiny room",
+        Views(VIEWS, "by hand"),
+        Frames(frames.start, len(frames)),
+        Synthesis(2),
+        measurement,
     )
     for view in VIEWS:
         for frame in frames:
             write_image(frame_path(run.truth(view), frame), truth(view, frame))
     cameras = {name: {"size": [WIDTH, HEIGHT]} for name in CAMERAS}
-    record = {"scene": "room", "fps": 30.0, "n_frames": n_frames, "cameras": cameras, "digests": dict.fromkeys(CAMERAS, "ab12")}
+    record = {
+        "scene": "room",
+        "fps": 30.0,
+        "n_frames": n_frames,
+        "cameras": cameras,
+        "digests": dict.fromkeys(CAMERAS, "ab12"),
+    }
     write_json(root / "capture.json", record)
     run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
     return run
@@ -44,8 +61,12 @@ def make_run(root: Path, metrics: Sequence[str] = METRICS, frames: range = FRAME
 
 @cache
 def truth(view: str, frame: int) -> Image8:
-    """A captured frame: a smooth random pattern of its camera, before which a bright square moves."""
-    coarse = np.random.default_rng(CAMERAS.index(view)).integers(20, 200, (6, 8, 3)).astype(np.uint8)
+    """A captured frame: a smooth random pattern of its camera, before which a bright square
+    moves.
+    """
+    coarse = (
+        np.random.default_rng(CAMERAS.index(view)).integers(20, 200, (6, 8, 3)).astype(np.uint8)
+    )
     image = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
     image[10:15, 4 + 6 * frame : 20 + 6 * frame] = (250, 240, 60)
     return image
@@ -59,9 +80,14 @@ def rendered(view: str, frame: int) -> Image8:
 
 
 def write_folders(
-    folder: Path, frames: Sequence[int] = FRAMES, numbers: Sequence[int] | None = None, pattern: str = "{view}/{number:04d}.png"
+    folder: Path,
+    frames: Sequence[int] = FRAMES,
+    numbers: Sequence[int] | None = None,
+    pattern: str = "{view}/{number:04d}.png",
 ) -> Path:
-    """``<view>/<frame>.png`` of the given frames, under other numbers or names where they are given."""
+    """``<view>/<frame>.png`` of the given frames, under other numbers or names where they are
+    given.
+    """
     for view in VIEWS:
         for frame, number in zip(frames, numbers or frames, strict=True):
             write_picture(folder / pattern.format(view=view, number=number), rendered(view, frame))
@@ -77,7 +103,9 @@ def write_picture(path: Path, image: Image8) -> None:
         cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
 
 
-def write_videos(folder: Path, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS, fps: float = 30.0) -> Path:
+def write_videos(
+    folder: Path, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS, fps: float = 30.0
+) -> Path:
     for view in views:
         write_video(folder / f"{view}.mp4", (rendered(view, frame) for frame in frames), fps, crf=0)
     return folder
@@ -89,7 +117,9 @@ def stack(view: str, dtype: str = "uint8", frames: Sequence[int] = FRAMES) -> np
     return images if dtype == "uint8" else (images / 255.0).astype(dtype)
 
 
-def write_flat(folder: Path, places: Sequence[Place], names: tuple[str, str] = ("renders", "gt")) -> Path:
+def write_flat(
+    folder: Path, places: Sequence[Place], names: tuple[str, str] = ("renders", "gt")
+) -> Path:
     """The pictures of these places, one behind the other, beside copies of the truth."""
     for index, (view, frame) in enumerate(places):
         write_image(folder / names[0] / f"{index:05d}.png", rendered(view, frame))
@@ -97,7 +127,9 @@ def write_flat(folder: Path, places: Sequence[Place], names: tuple[str, str] = (
     return folder
 
 
-def write_nerfbaselines(folder: Path, pattern: str = "{view}/{frame:04d}.png", copies: bool = True) -> Path:
+def write_nerfbaselines(
+    folder: Path, pattern: str = "{view}/{frame:04d}.png", copies: bool = True
+) -> Path:
     """Predictions under the data set's relative names."""
     for view in VIEWS:
         for frame in FRAMES:
@@ -109,17 +141,27 @@ def write_nerfbaselines(folder: Path, pattern: str = "{view}/{frame:04d}.png", c
     return folder
 
 
-def write_easyvolcap(folder: Path, copies: bool = True, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS) -> Path:
-    """``RENDER/frame0002_camera0000.png`` with alpha, truth and error beside each; depth and alpha in folders of their own."""
+def write_easyvolcap(
+    folder: Path, copies: bool = True, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS
+) -> Path:
+    """``RENDER/frame0002_camera0000.png`` with alpha, truth and error beside each; depth and alpha
+    in folders of their own.
+    """
     for view in views:
         for frame in frames:
-            name, opaque = f"frame{frame:04d}_camera{CAMERAS.index(view):04d}", np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
+            name, opaque = (
+                f"frame{frame:04d}_camera{CAMERAS.index(view):04d}",
+                np.full((HEIGHT, WIDTH, 1), 255, np.uint8),
+            )
             pictures = {
                 "RENDER/{}": rendered(view, frame),
                 "DEPTH/{}": truth(view, frame),
                 "RENDER/{}_error": truth(view, frame) // 9,
             }
-            for pattern, image in {**pictures, **({"RENDER/{}_gt": truth(view, frame)} if copies else {})}.items():
+            for pattern, image in {
+                **pictures,
+                **({"RENDER/{}_gt": truth(view, frame)} if copies else {}),
+            }.items():
                 path = folder / f"{pattern.format(name)}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 cv2.imwrite(str(path), np.concatenate([image[..., ::-1], opaque], axis=-1))

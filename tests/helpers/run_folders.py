@@ -1,4 +1,6 @@
-"""A run folder made by hand: real small pictures, made-up values, everything that a report reads."""
+"""A run folder made by hand: real small pictures, made-up values, everything that a report
+reads.
+"""
 
 import dataclasses
 import json
@@ -20,7 +22,15 @@ from ggvs_eval.statistics.pooling import MEAN
 METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 UNITS = {"PSNR": "dB", "PSNR_cc": "dB"}
 HIGHER = {"PSNR", "PSNR_cc", "SSIM", "TCC"}
-SIZES = {"PSNR": 40.0, "PSNR_cc": 42.0, "LPIPS": 0.5, "L1": 20.0, "STED": 900.0, "SDT": 0.5, "SDV": 4.0}
+SIZES = {
+    "PSNR": 40.0,
+    "PSNR_cc": 42.0,
+    "LPIPS": 0.5,
+    "L1": 20.0,
+    "STED": 900.0,
+    "SDT": 0.5,
+    "SDV": 4.0,
+}
 PER_SEQUENCE = {"STED", "SDT"}
 LABELS = ("no-blending", "ours-geometric", "ours-geometric+no-temporal")
 NAMES = {
@@ -45,14 +55,18 @@ class RunShape:
     labels: tuple[str, ...] = LABELS
     metrics: tuple[str, ...] = METRICS
     scene: str = "room"
-    content: str = ""  # digest of its captured frames; follows from the name of the scene where empty
+    # digest of its captured frames; follows from the name of the scene where empty
+    content: str = ""
     dataset: str = "Demo room"
     names: tuple[tuple[str, str], ...] = tuple(NAMES.items())
     k: int = 2
 
 
 def write_run(
-    root: Path, shape: RunShape | None = None, paint: Painter | None = None, not_computed: dict[str, str] | None = None
+    root: Path,
+    shape: RunShape | None = None,
+    paint: Painter | None = None,
+    not_computed: dict[str, str] | None = None,
 ) -> Path:
     """Write a whole run folder; equal arguments give equal bytes.
 
@@ -72,7 +86,9 @@ def write_run(
             for index in frames:
                 write_image(frame_path(folder, index), paint(label, view, index))
             if label != "truth":
-                write_json(folder / JOB_FILE, {"seconds": stage_seconds(label, len(frames)), "threads": 2})
+                write_json(
+                    folder / JOB_FILE, {"seconds": stage_seconds(label, len(frames)), "threads": 2}
+                )
         for pose in range(shape.poses if label != "truth" or shape.path_truth else 0):
             write_image(frame_path(run.path(label), pose), paint(label, "path", pose))
     run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
@@ -83,8 +99,17 @@ def write_run(
 def make_fitted(root: Path, labels: Sequence[str]) -> Path:
     """Make methods of a run fitted ones, two folds of one view each, by three of five cameras."""
     run = RunFolder(root)
-    write_json(root / "capture.json", run.capture_record() | {"cameras": {f"cam{at:02d}": {} for at in range(5)}})
-    fit = {"instants": 4, "cameras": 3, "look_ahead": "sequence", "seed": 0, "size_bytes": 8_000_000}
+    write_json(
+        root / "capture.json",
+        run.capture_record() | {"cameras": {f"cam{at:02d}": {} for at in range(5)}},
+    )
+    fit = {
+        "instants": 4,
+        "cameras": 3,
+        "look_ahead": "sequence",
+        "seed": 0,
+        "size_bytes": 8_000_000,
+    }
     for label in labels:
         for view, seconds in zip(run.protocol().views.test, (40.0, 80.0), strict=True):
             job = run.renders(label, view) / JOB_FILE
@@ -96,23 +121,44 @@ def make_fitted(root: Path, labels: Sequence[str]) -> Path:
 def make_protocol(shape: RunShape) -> Protocol:
     """The protocol of a run of that shape."""
     measured = Measurement(metrics=shape.metrics)
-    return Protocol("tiny", shape.dataset, Views(shape.views, "by hand"), shape.frames, Synthesis(k=shape.k), measured)
+    return Protocol(
+        "tiny",
+        shape.dataset,
+        Views(shape.views, "by hand"),
+        shape.frames,
+        Synthesis(k=shape.k),
+        measured,
+    )
 
 
 def stage_seconds(label: str, count: int) -> dict[str, list[float]]:
-    """Times of two stages: the first frame slow, the others 10, 11, ... and 20, 22, ... milliseconds."""
+    """Times of two stages: the first frame slow, the others 10, 11, ... and 20, 22, ...
+    milliseconds.
+    """
     return {
         "splat": [9.0, *(0.010 + 0.001 * index for index in range(count - 1))],
         "blend": [9.0, *(0.020 + 0.002 * index for index in range(count - 1))],
     }
 
 
-def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_computed: dict[str, str]) -> None:
-    capture = {"path": "/home/somebody/captures/room", "scene": shape.scene, "layout": "dynerf", "fps": 30.0}
+def _write_records(
+    run: RunFolder, shape: RunShape, protocol: Protocol, not_computed: dict[str, str]
+) -> None:
+    capture = {
+        "path": "/home/somebody/captures/room",
+        "scene": shape.scene,
+        "layout": "dynerf",
+        "fps": 30.0,
+    }
     write_json(run.root / "capture.json", capture)
     write_json(
         run.root / "methods.json",
-        {"labels": shape.labels, "names": dict(shape.names), "ours": LABELS[1:], "from_sources": shape.labels},
+        {
+            "labels": shape.labels,
+            "names": dict(shape.names),
+            "ours": LABELS[1:],
+            "from_sources": shape.labels,
+        },
     )
     notes = {
         name: {
@@ -129,10 +175,13 @@ def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_comp
         "protocol": json.loads(json.dumps(dataclasses.asdict(protocol))),
         "protocol_sha256": protocol.sha256,
         "inputs": {f"{shape.scene}/cam00": shape.content or f"frames of {shape.scene}"},
-        "pooling": pooling_records(shape.metrics, MetricOptions()) | {"STED": MEAN.record()},  # without its parts
+        # without its parts
+        "pooling": pooling_records(shape.metrics, MetricOptions()) | {"STED": MEAN.record()},
         "versions": {"ggvs-eval": "0.1.0"},
     }
-    rows = [row for label in shape.labels for row in _values(shape, label) if row[6] not in not_computed]
+    rows = [
+        row for label in shape.labels for row in _values(shape, label) if row[6] not in not_computed
+    ]
     Results(make_table(rows), provenance, not_computed).write(run.root)
 
 
@@ -148,20 +197,30 @@ def _values(shape: RunShape, label: str) -> list[Sequence[object]]:
         views: Sequence[str | None] = (None,) if name == "SDV" else shape.views
         frames = shape.frames.numbers
         indices = [-1] if name in PER_SEQUENCE else [*frames][1 if name == "TCC" else 0 :]
-        rows += [(*head, view, index, name, size * (1 + 0.005 * random.standard_normal())) for view in views for index in indices]
+        rows += [
+            (*head, view, index, name, size * (1 + 0.005 * random.standard_normal()))
+            for view in views
+            for index in indices
+        ]
     return rows
 
 
 def _painter(shape: RunShape) -> Painter:
-    """A textured wall with a square that moves, and noise that is smaller the further down the list a method stands."""
+    """A textured wall with a square that moves, and noise that is smaller the further down the list
+    a method stands.
+    """
 
     def paint(label: str, view: str, index: int) -> Image8:
         y, x = np.mgrid[: shape.height, : shape.width]
         shift = 3 * index if view == "path" else 5 * shape.views.index(view)
-        image = np.stack([(5 * (x + shift)) % 200, (7 * y + x) % 220, np.full_like(x, 90)], axis=-1).astype(np.float64)
+        image = np.stack(
+            [(5 * (x + shift)) % 200, (7 * y + x) % 220, np.full_like(x, 90)], axis=-1
+        ).astype(np.float64)
         at = 4 + 3 * index
         image[10:22, at : at + 12] = (230, 60, 40)
         noise = 0.0 if label == "truth" else 20.0 / (1 + shape.labels.index(label))
-        return np.clip(image + noise * np.random.default_rng(index).standard_normal(image.shape), 0, 255).astype(np.uint8)
+        return np.clip(
+            image + noise * np.random.default_rng(index).standard_normal(image.shape), 0, 255
+        ).astype(np.uint8)
 
     return paint

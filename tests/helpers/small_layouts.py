@@ -1,4 +1,6 @@
-"""Tiny valid captures of the layouts with a lens: the rig of `captures`, written as their authors lay them out."""
+"""Tiny valid captures of the layouts with a lens: the rig of `captures`, written as their authors
+lay them out.
+"""
 
 import json
 from collections.abc import Sequence
@@ -46,7 +48,9 @@ def opencv_K(camera: Camera) -> np.ndarray:
     return K
 
 
-def storage_entries(names: Sequence[str] = NUMBERS, coefficients: Sequence[float] = ()) -> tuple[dict[str, Any], dict[str, Any]]:
+def storage_entries(
+    names: Sequence[str] = NUMBERS, coefficients: Sequence[float] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """intri.yml and extri.yml of the rig."""
     intri: dict[str, Any] = {}
     extri: dict[str, Any] = {}
@@ -62,9 +66,13 @@ def storage_entries(names: Sequence[str] = NUMBERS, coefficients: Sequence[float
 
 
 def write_easymocap(folder: Path, coefficients: Sequence[float] = ()) -> Path:
-    """intri.yml, extri.yml and images/XX/; with coefficients the frames are the pattern as the lens shows it."""
+    """intri.yml, extri.yml and images/XX/; with coefficients the frames are the pattern as the lens
+    shows it.
+    """
     for index, camera in enumerate(make_rig(NUMBERS)):
-        lens = Lens(camera.K, "opencv", tuple(coefficients), WIDTH, HEIGHT) if coefficients else None
+        lens = (
+            Lens(camera.K, "opencv", tuple(coefficients), WIDTH, HEIGHT) if coefficients else None
+        )
         write_frames(folder / "images" / camera.name, index, lens)
     intri, extri = storage_entries(coefficients=coefficients)
     write_storage(folder / "intri.yml", intri, NUMBERS)
@@ -76,8 +84,16 @@ def write_multipleview(folder: Path, model: str = "PINHOLE", distortion: str = "
     """4D Gaussian Splatting's layout: cam01/frame_00001.png and sparse_/ with image1.png."""
     for index in range(len(NAMES)):
         for frame in range(N_INSTANTS):
-            write_image(folder / f"cam{index + 1:02d}" / f"frame_{frame + 1:05d}.png", make_image(index, frame))
-    write_colmap_model(folder / "sparse_", [f"image{index + 1}.png" for index in range(len(NAMES))], model, distortion)
+            write_image(
+                folder / f"cam{index + 1:02d}" / f"frame_{frame + 1:05d}.png",
+                make_image(index, frame),
+            )
+    write_colmap_model(
+        folder / "sparse_",
+        [f"image{index + 1}.png" for index in range(len(NAMES))],
+        model,
+        distortion,
+    )
     return folder
 
 
@@ -89,8 +105,17 @@ def transforms(names: Sequence[str] = NAMES) -> dict[str, Any]:
     for camera in rig:
         camera_to_world = np.linalg.inv(camera.world_to_camera)
         camera_to_world[:3, 1:3] *= -1  # y up, z backwards
-        frames.append({"file_path": f"images/{camera.name}.png", "transform_matrix": camera_to_world.tolist()})
-    intrinsics = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "w": WIDTH, "h": HEIGHT}
+        frames.append(
+            {"file_path": f"images/{camera.name}.png", "transform_matrix": camera_to_world.tolist()}
+        )
+    intrinsics = {
+        "fl_x": K[0, 0],
+        "fl_y": K[1, 1],
+        "cx": K[0, 2],
+        "cy": K[1, 2],
+        "w": WIDTH,
+        "h": HEIGHT,
+    }
     return {"camera_model": "OPENCV", **intrinsics, "frames": frames}
 
 
@@ -105,7 +130,8 @@ def write_nerfstudio(folder: Path, values: dict[str, Any] | None = None) -> Path
 def camera_toml(camera: Camera, frames: str, more: str = "") -> str:
     """One [[camera]] of a capture.toml."""
     rows = "".join(
-        f"\n{key} = {matrix.tolist()}" for key, matrix in (("K", camera.K), ("world_to_camera", camera.world_to_camera))
+        f"\n{key} = {matrix.tolist()}"
+        for key, matrix in (("K", camera.K), ("world_to_camera", camera.world_to_camera))
     )
     size = f"width = {camera.width}\nheight = {camera.height}"
     return f'\n[[camera]]\nname = "{camera.name}"\nframes = "{frames}"\n{size}{rows}\n{more}\n'
@@ -119,7 +145,9 @@ def write_capture_toml(folder: Path, head: str = "") -> Path:
         if index in (1, 2):
             write_frames(folder / frames, index)
         else:
-            write_video(folder / frames, (make_image(index, frame) for frame in range(N_INSTANTS)), FPS)
+            write_video(
+                folder / frames, (make_image(index, frame) for frame in range(N_INSTANTS)), FPS
+            )
         text += camera_toml(camera, frames)
     (folder / "capture.toml").write_text(text)
     return folder

@@ -1,4 +1,6 @@
-"""Six cameras before boards, some of which move, as a capture of their own; and faults of cameras planted in their frames."""
+"""Six cameras before boards, some of which move, as a capture of their own; and faults of cameras
+planted in their frames.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,9 +33,24 @@ BOARDS: list[Board] = [
     ((-4.5, -2.5, 8), (2.5, 0, 1.2), (0, 3, 0), still),
     ((1.5, -2.2, 7), (2.4, 0, -1.0), (0, 3, 0.4), still),
     ((-1.4, -0.5, 6), (1.8, 0.2, 0.5), (0, 2, 0), still),
-    ((-3.0, 0.4, 6), (1.0, 0, 0), (0, 1, 0), lambda t: (0.5 * np.sin(9 * t), 0.3 * np.sin(5 * t + 1), 0)),
-    ((1.2, 0.6, 5.5), (0.9, 0, 0.2), (0, 0.9, 0), lambda t: (0.2 * np.cos(7 * t), 0.6 * np.sin(8 * t), 0)),
-    ((-0.4, -2.0, 6.5), (1.1, 0, 0), (0, 0.8, 0), lambda t: (0.7 * np.sin(6 * t + 2), 0.4 * np.sin(11 * t), 0.3 * np.sin(4 * t))),
+    (
+        (-3.0, 0.4, 6),
+        (1.0, 0, 0),
+        (0, 1, 0),
+        lambda t: (0.5 * np.sin(9 * t), 0.3 * np.sin(5 * t + 1), 0),
+    ),
+    (
+        (1.2, 0.6, 5.5),
+        (0.9, 0, 0.2),
+        (0, 0.9, 0),
+        lambda t: (0.2 * np.cos(7 * t), 0.6 * np.sin(8 * t), 0),
+    ),
+    (
+        (-0.4, -2.0, 6.5),
+        (1.1, 0, 0),
+        (0, 0.8, 0),
+        lambda t: (0.7 * np.sin(6 * t + 2), 0.4 * np.sin(11 * t), 0.3 * np.sin(4 * t)),
+    ),
 ]
 
 
@@ -55,7 +72,9 @@ def make_cameras() -> list[Camera]:
     rng = np.random.default_rng(3)
     cameras = []
     for index, name in enumerate(NAMES):
-        centre = np.array([1.1 * (index % COLUMNS - 1.0), 0.9 * (index // COLUMNS - 0.5), 0.0]) + rng.normal(0, 0.06, 3)
+        centre = np.array(
+            [1.1 * (index % COLUMNS - 1.0), 0.9 * (index // COLUMNS - 0.5), 0.0]
+        ) + rng.normal(0, 0.06, 3)
         forward = np.array([0.0, 0.0, 7.0]) + rng.normal(0, 0.15, 3) - centre
         forward /= np.linalg.norm(forward)
         right = np.cross([0.0, 1.0, 0.0], forward)
@@ -68,18 +87,30 @@ def make_cameras() -> list[Camera]:
     return cameras
 
 
-def draw(boards: Sequence[Board], pictures: Sequence[Image8], camera: Camera, time_s: float, image: Image8) -> None:
+def draw(
+    boards: Sequence[Board],
+    pictures: Sequence[Image8],
+    camera: Camera,
+    time_s: float,
+    image: Image8,
+) -> None:
     """Boards from back to front onto a picture, each by its homography."""
     for (corner, across, down, moves), picture in zip(boards, pictures, strict=True):
         height, width = picture.shape[:2]
         origin = np.asarray(corner, float) + moves(time_s)
-        plane = np.stack([np.asarray(across) / width, np.asarray(down) / height, origin], axis=1)  # texture pixel to world
+        # texture pixel to world
+        plane = np.stack([np.asarray(across) / width, np.asarray(down) / height, origin], axis=1)
         plane = camera.rotation @ plane
         plane[:, 2] += camera.translation
-        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV counts from the centre of the first pixel
+        # OpenCV counts from the centre of the first pixel
+        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
         homography = np.linalg.inv(half) @ camera.K @ plane @ half
-        seen = cv2.warpPerspective(np.ones((height, width), np.uint8), homography, (WIDTH, HEIGHT), flags=cv2.INTER_NEAREST)
-        warped = cv2.warpPerspective(picture, homography, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE)
+        seen = cv2.warpPerspective(
+            np.ones((height, width), np.uint8), homography, (WIDTH, HEIGHT), flags=cv2.INTER_NEAREST
+        )
+        warped = cv2.warpPerspective(
+            picture, homography, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE
+        )
         image[seen > 0] = warped[seen > 0]
 
 
@@ -124,7 +155,9 @@ def warp(frame: Image8, right: float = 0.0, down: float = 0.0, zoom: float = 1.0
     height, width = frame.shape[:2]
     move = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), 0, zoom)
     move[:, 2] += [right, down]
-    return cv2.warpAffine(frame, move, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(
+        frame, move, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def bump(right: float, down: float, at: int) -> Callable[[Frames], Frames]:
@@ -134,7 +167,10 @@ def bump(right: float, down: float, at: int) -> Callable[[Frames], Frames]:
 
 def expose(last: float) -> Callable[[Frames], Frames]:
     """The exposure grows from 1 to `last`."""
-    return lambda frames: [brighten(frame, gain) for frame, gain in zip(frames, np.linspace(1, last, len(frames)), strict=True)]
+    return lambda frames: [
+        brighten(frame, gain)
+        for frame, gain in zip(frames, np.linspace(1, last, len(frames)), strict=True)
+    ]
 
 
 def lose(at: int) -> Callable[[Frames], Frames]:

@@ -14,14 +14,18 @@ LABELS = ("no-blending", "distance-based")
 
 
 def leave_out_pixels(patch: pytest.MonkeyPatch) -> None:
-    """Let figures of reports be composed but not drawn, which takes longer than all else of a report."""
+    """Let figures of reports be composed but not drawn, which takes longer than all else of a
+    report.
+    """
     from matplotlib.figure import Figure
 
     patch.setattr(Figure, "savefig", lambda _self, file, **_: Path(file).write_bytes(b"no pixels"))
 
 
 def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
-    """Let reports be written without figures of runs and parts of errors, most of their time; `tests/reports` shows both."""
+    """Let reports be written without figures of runs and parts of errors, most of their time;
+    `tests/reports` shows both.
+    """
     from ggvs_eval.reports import report
     from ggvs_eval.reports.tables import error_budget
 
@@ -30,7 +34,9 @@ def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
 
 
 def write_small_capture(folder: Path, n_frames: int = 12) -> Capture:
-    """Six packed cameras of 64 x 48 in two rows, without depth; protocols take as many of their twelve frames as they want."""
+    """Six packed cameras of 64 x 48 in two rows, without depth; protocols take as many of their
+    twelve frames as they want.
+    """
     assert n_frames <= 12
     return open_capture(unpack_film("small", folder, with_depth=False))
 

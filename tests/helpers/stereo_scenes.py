@@ -48,8 +48,13 @@ def plane_depth(camera: Camera, plane: np.ndarray = PLANE) -> np.ndarray:
 
 def paint(camera: Camera, depth: np.ndarray, texture: np.ndarray) -> Image8:
     """What a camera sees of a surface painted with the texture along z, (H, W, 3)."""
-    texels = camera.unproject(camera.pixel_centres(), depth)[..., :2] * TEXELS_PER_UNIT + np.array(texture.shape) / 2
-    grey = cv2.remap(texture, texels.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    texels = (
+        camera.unproject(camera.pixel_centres(), depth)[..., :2] * TEXELS_PER_UNIT
+        + np.array(texture.shape) / 2
+    )
+    grey = cv2.remap(
+        texture, texels.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+    )
     return np.repeat(quantise(grey)[..., None], 3, axis=-1)
 
 
@@ -62,13 +67,20 @@ FIVE_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.4), (0.8, 0))
 
 
 def write_capture(
-    folder: Path, n_frames: int = 3, step: float = 0.2, places: Sequence[tuple[float, float]] = FIVE_PLACES
+    folder: Path,
+    n_frames: int = 3,
+    step: float = 0.2,
+    places: Sequence[tuple[float, float]] = FIVE_PLACES,
 ) -> Capture:
-    """Cameras before a plane that comes nearer by `step` from frame to frame, as image folders on disk."""
+    """Cameras before a plane that comes nearer by `step` from frame to frame, as image folders on
+    disk.
+    """
     cameras = [look_from(x, y, f"cam{index:02d}") for index, (x, y) in enumerate(places)]
     for camera in cameras:
         for frame in range(n_frames):
             image = see_plane(camera, PLANE - [0, 0, step * frame])
             write_image(folder / camera.name / f"{frame:04d}.png", image)
     sources = tuple(ImageFrames(folder / camera.name) for camera in cameras)
-    return Capture("plane", "folders", folder, tuple(cameras), sources, n_frames, 30.0, 1.0, "known")
+    return Capture(
+        "plane", "folders", folder, tuple(cameras), sources, n_frames, 30.0, 1.0, "known"
+    )

@@ -10,7 +10,9 @@ from helpers.run_folders import RunShape, write_run
 SWEPT = RunShape(metrics=("PSNR",), poses=0, views=("cam00",))
 KS = (2, 3, 5)
 LINES = [
-    (f"k{k}", method, base + k / 10, 0.2 * k) for k in KS for method, base in (("GGVS (online)", 30.0), ("No Blending", 20.0))
+    (f"k{k}", method, base + k / 10, 0.2 * k)
+    for k in KS
+    for method, base in (("GGVS (online)", 30.0), ("No Blending", 20.0))
 ]
 
 
@@ -18,5 +20,7 @@ def write_sweep(root: Path) -> Path:
     """A sweep of one capture over three K: a run folder for each, and the table."""
     for k in KS:
         write_run(root / f"k{k}", replace(SWEPT, k=k))
-    pd.DataFrame(LINES, columns=["variant", "method", "PSNR", "s/frame"]).to_csv(root / "sweep.csv", index=False)
+    pd.DataFrame(LINES, columns=["variant", "method", "PSNR", "s/frame"]).to_csv(
+        root / "sweep.csv", index=False
+    )
     return root

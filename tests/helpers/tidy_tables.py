@@ -12,7 +12,9 @@ from ggvs_eval.results import Results, make_table
 from ggvs_eval.statistics.pooling import MEAN
 
 
-def make_rows(label: str, metric: str, values: ArrayLike, scene: str = "room", dataset: str = "Demo") -> list[tuple]:
+def make_rows(
+    label: str, metric: str, values: ArrayLike, scene: str = "room", dataset: str = "Demo"
+) -> list[tuple]:
     """Rows of a (V, T) matrix; views are cam00, cam01, ..., frames start at 2."""
     method, _, variant = label.partition("+")
     matrix = np.asarray(values, dtype=np.float64)
@@ -29,30 +31,51 @@ def make_spread_rows(label: str, l1: ArrayLike, scene: str = "room", ddof: int =
     method, _, variant = label.partition("+")
     head = ("Demo", scene, method, variant)
     rows = make_rows(label, "L1", matrix, scene)
-    rows += [(*head, f"cam{view:02}", -1, "SDT", value) for view, value in enumerate(matrix.std(axis=1, ddof=ddof))]
-    rows += [(*head, None, 2 + frame, "SDV", value) for frame, value in enumerate(matrix.std(axis=0, ddof=ddof))]
+    rows += [
+        (*head, f"cam{view:02}", -1, "SDT", value)
+        for view, value in enumerate(matrix.std(axis=1, ddof=ddof))
+    ]
+    rows += [
+        (*head, None, 2 + frame, "SDV", value)
+        for frame, value in enumerate(matrix.std(axis=0, ddof=ddof))
+    ]
     return rows
 
 
-def make_sted_rows(label: str, spatial: ArrayLike, temporal: ArrayLike, scene: str = "room") -> list[tuple]:
+def make_sted_rows(
+    label: str, spatial: ArrayLike, temporal: ArrayLike, scene: str = "room"
+) -> list[tuple]:
     """Rows of the parts of STED per pair, and of their products per view."""
     method, _, variant = label.partition("+")
     first, second = np.asarray(spatial, dtype=np.float64), np.asarray(temporal, dtype=np.float64)
-    rows = make_rows(label, "STED_spatial", first, scene) + make_rows(label, "STED_temporal", second, scene)
+    rows = make_rows(label, "STED_spatial", first, scene) + make_rows(
+        label, "STED_temporal", second, scene
+    )
     products = first.mean(axis=1) * second.mean(axis=1)
     head = ("Demo", scene, method, variant)
-    return rows + [(*head, f"cam{view:02}", -1, "STED", value) for view, value in enumerate(products)]
+    return rows + [
+        (*head, f"cam{view:02}", -1, "STED", value) for view, value in enumerate(products)
+    ]
 
 
-def make_results(rows: list[tuple], provenance: Mapping[str, object] | None = None, ddof: int = 1) -> Results:
+def make_results(
+    rows: list[tuple], provenance: Mapping[str, object] | None = None, ddof: int = 1
+) -> Results:
     """Results of these rows; metrics that nobody knows are means."""
     known = pooling_records([row[6] for row in rows if row[6] in METRICS], MetricOptions(ddof=ddof))
     pooling = {row[6]: MEAN.record() for row in rows} | known
-    return Results(make_table(rows), {"protocol_sha256": "a" * 64, "inputs": {}, "pooling": pooling, **(provenance or {})})
+    return Results(
+        make_table(rows),
+        {"protocol_sha256": "a" * 64, "inputs": {}, "pooling": pooling, **(provenance or {})},
+    )
 
 
-def autoregressive(generator: np.random.Generator, series: int, frames: int, correlation: float) -> Array:
-    """(series, frames) of mean 0 and variance 1, each value the `correlation`-th part of the one before, plus noise."""
+def autoregressive(
+    generator: np.random.Generator, series: int, frames: int, correlation: float
+) -> Array:
+    """(series, frames) of mean 0 and variance 1, each value the `correlation`-th part of the one
+    before, plus noise.
+    """
     noise = generator.standard_normal((series, frames)) * np.sqrt(1.0 - correlation**2)
     values = np.empty((series, frames))
     values[:, 0] = generator.standard_normal(series)

@@ -1,4 +1,6 @@
-"""Films three tiny captures and prints the SHA-256 of what is in them; run as a script, in a process of its own."""
+"""Films three tiny captures and prints the SHA-256 of what is in them; run as a script, in a
+process of its own.
+"""
 
 import hashlib
 import json
@@ -15,23 +17,43 @@ from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
 from ggvs_eval.contrib.worlds.room import lighting
 
-TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=2, path_poses=1, supersampling=1)
+TINY = DemoOptions(
+    width=64, height=48, n_frames=2, cameras_per_row=2, path_poses=1, supersampling=1
+)
 FILMS = {
     "dynerf": TINY,
-    "enerf-outdoor": replace(TINY, layout="enerf-outdoor", rig="arc", path_poses=0, calibration_error_px=0.5),
-    "d3dmv": replace(TINY, layout="d3dmv", rig="grid", path_poses=0, defocus_px=1.0, processing=1.0, jpeg_quality=90),
+    "enerf-outdoor": replace(
+        TINY, layout="enerf-outdoor", rig="arc", path_poses=0, calibration_error_px=0.5
+    ),
+    "d3dmv": replace(
+        TINY,
+        layout="d3dmv",
+        rig="grid",
+        path_poses=0,
+        defocus_px=1.0,
+        processing=1.0,
+        jpeg_quality=90,
+    ),
 }
 
 
 def digest_pictures(options: DemoOptions) -> str:
-    """What is filmed before any encoder sees it: every frame, its depth, and the camera that is written down."""
+    """What is filmed before any encoder sees it: every frame, its depth, and the camera that is
+    written down.
+    """
     digest = hashlib.sha256()
     for shot in LAYOUTS[options.layout].shots(options):
         footage = Footage(options, shot, instant)
         for frame in footage.frames():
-            digest.update(frame.image.tobytes() + frame.depth.tobytes() + frame.foreground.tobytes())
+            digest.update(
+                frame.image.tobytes() + frame.depth.tobytes() + frame.foreground.tobytes()
+            )
         camera = footage.noted_camera()
-        digest.update(camera.world_to_camera.tobytes() + camera.K.tobytes() + np.array([camera.near, camera.far]).tobytes())
+        digest.update(
+            camera.world_to_camera.tobytes()
+            + camera.K.tobytes()
+            + np.array([camera.near, camera.far]).tobytes()
+        )
     return digest.hexdigest()
 
 
@@ -50,7 +72,9 @@ def digest_files(folder: Path) -> str:
 
 
 def main(folder: Path) -> None:
-    """Film into a folder. An eighth of the rays finds the light that bounces: the same code in a fraction of the time."""
+    """Film into a folder. An eighth of the rays finds the light that bounces: the same code in a
+    fraction of the time.
+    """
     lighting.AMBIENT_DIRECTIONS = 8
     digests = {}
     for name, options in FILMS.items():

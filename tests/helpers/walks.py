@@ -33,12 +33,16 @@ class Step:
     findings: tuple[Finding, ...]
 
     def of(self, question: str, camera: str) -> Finding:
-        return next(each for each in self.findings if (each.question, each.subject) == (question, camera))
+        return next(
+            each for each in self.findings if (each.question, each.subject) == (question, camera)
+        )
 
 
 def commands_of(page: Path) -> list[str]:
     """The lines of all blocks of shell commands."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    blocks = re.findall(
+        r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
     return [line for block in blocks for line in block.splitlines() if line.strip()]
 
 
@@ -56,5 +60,9 @@ def follow(line: str) -> Step:
         except SystemExit as ended:
             code = ended.code
     checked = Path("rig.check.json")
-    findings = tuple(Finding(**each) for each in read_json(checked)["findings"]) if checked.is_file() else ()
+    findings = (
+        tuple(Finding(**each) for each in read_json(checked)["findings"])
+        if checked.is_file()
+        else ()
+    )
     return Step(line, code, output.getvalue(), findings)

@@ -1,4 +1,6 @@
-"""One run of every stage, with its report, figures and page: what tests of finished runs read, or copy to change."""
+"""One run of every stage, with its report, figures and page: what tests of finished runs read, or
+copy to change.
+"""
 
 import shutil
 from dataclasses import replace
@@ -21,7 +23,9 @@ PROTOCOL = replace(
     views=Views(("cam00", "cam01"), "test"),
     frames=Frames(0, 3),
     synthesis=Synthesis(3),
-    measurement=replace(load_protocol("demo").measurement, metrics=(*PER_IMAGE, *OVER_TIME, *ALONG_PATH)),
+    measurement=replace(
+        load_protocol("demo").measurement, metrics=(*PER_IMAGE, *OVER_TIME, *ALONG_PATH)
+    ),
 )
 
 
@@ -33,7 +37,9 @@ def make_whole_run(folder: Path) -> Path:
     """
     capture = open_capture(unpack_film("path", folder / "room"))
     page = evaluate(folder / "run", capture, PROTOCOL, LABELS, workers=1)
-    assert list((page.parent / "figures").glob("*.png")), "made under the fixture no_figures; ask for whole_run alone"
+    assert list((page.parent / "figures").glob("*.png")), (
+        "made under the fixture no_figures; ask for whole_run alone"
+    )
     return folder / "run"
 
 

@@ -29,9 +29,17 @@ class FilmedRig:
 
     def check(self, cameras: Sequence[Camera] | None = None, **changed: Frames) -> CaptureCheck:
         """The check of the rig with other poses, or with other frames of some cameras."""
-        records = [recorded(changed[old.name], old.name) if old.name in changed else old for old in self.records]
-        cameras, sources = tuple(cameras or self.cameras), tuple(SimpleNamespace() for _ in self.cameras)
-        capture = Capture("rig", "test", Path("rig"), cameras, sources, N_FRAMES, 30.0, 1.0, "guess: 2 m")
+        records = [
+            recorded(changed[old.name], old.name) if old.name in changed else old
+            for old in self.records
+        ]
+        cameras, sources = (
+            tuple(cameras or self.cameras),
+            tuple(SimpleNamespace() for _ in self.cameras),
+        )
+        capture = Capture(
+            "rig", "test", Path("rig"), cameras, sources, N_FRAMES, 30.0, 1.0, "guess: 2 m"
+        )
         return CaptureCheck(capture.path, examine(ExaminedRig(capture, records)))
 
 

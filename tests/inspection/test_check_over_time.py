@@ -1,4 +1,6 @@
-"""The check of a capture over its whole clip: faults that come after the first frame, their time, and repairs with intervals."""
+"""The check of a capture over its whole clip: faults that come after the first frame, their time,
+and repairs with intervals.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +17,11 @@ from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.commands.check import check as check_command
 from ggvs_eval.pipelines.inspection.capture import check as check_module
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
-from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, propose_corrections, repair_capture
+from ggvs_eval.pipelines.inspection.capture.colour import (
+    describe_repair,
+    propose_corrections,
+    repair_capture,
+)
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 from helpers.small_rig import N_FRAMES, NAMES, Frames, brighten, bump, expose, lose, warp
@@ -31,20 +37,28 @@ def spoilt(filmed, plants: dict[str, Plant]) -> CaptureCheck:
 
 def minded(check: CaptureCheck) -> dict[tuple[str, str], Finding]:
     """What is warned of or bad, by question and subject; units are guessed in this rig."""
-    found = [each for each in check.findings if each.verdict in ("warn", "bad") and each.question != "units"]
+    found = [
+        each
+        for each in check.findings
+        if each.verdict in ("warn", "bad") and each.question != "units"
+    ]
     return {(each.question, each.subject): each for each in found}
 
 
 @pytest.mark.slow
 def test_a_bump_in_mid_clip_is_found_with_its_size_and_time(filmed):
-    """6 px at frame 7: that camera alone, by 6 px, at frame 7; the last instant's epipolar error contradicts the poses too."""
+    """6 px at frame 7: that camera alone, by 6 px, at frame 7; the last instant's epipolar error
+    contradicts the poses too.
+    """
     found = minded(spoilt(filmed, {"cam04": bump(-3.6, 4.8, 7)}))
 
     assert set(found) == {("stands still", "cam04"), ("epipolar error", "cam04")}
     still = found["stands still", "cam04"]
     assert still.verdict == "bad"
     assert still.values["moved_px"] == pytest.approx(6, abs=0.4)
-    assert (still.values["right_px"], still.values["down_px"]) == pytest.approx((-3.6, 4.8), abs=0.4)
+    assert (still.values["right_px"], still.values["down_px"]) == pytest.approx(
+        (-3.6, 4.8), abs=0.4
+    )
     assert abs(still.values["first_frame"] - 7) <= 1
     assert still.values["last_frame"] - still.values["first_frame"] <= 1
     assert "(0.23 s)" in still.measured
@@ -85,7 +99,9 @@ def test_a_rig_that_moves_as_a_whole_is_said_of_the_rig(filmed):
 
 @pytest.mark.slow
 def test_an_exposure_that_grows_is_found_with_its_amount(filmed):
-    """1.00 to 1.20 over the clip: bad, by 20 %, over most of the clip, and no constant gain is written for it."""
+    """1.00 to 1.20 over the clip: bad, by 20 %, over most of the clip, and no constant gain is
+    written for it.
+    """
     check = spoilt(filmed, {"cam01": expose(1.2)})
 
     found = minded(check)
@@ -116,7 +132,9 @@ def test_lamps_that_fade_for_all_are_no_fault_of_a_camera(filmed):
     check = spoilt(filmed, dict.fromkeys(NAMES, expose(0.5)))
 
     assert minded(check) == {}
-    assert check.of("colour over time")[0].values["common_change"] == pytest.approx(np.log(2), abs=0.15)
+    assert check.of("colour over time")[0].values["common_change"] == pytest.approx(
+        np.log(2), abs=0.15
+    )
 
 
 @pytest.mark.slow
@@ -132,7 +150,9 @@ def test_lamps_that_flicker_are_said_of_the_rig(filmed):
 
 @pytest.mark.slow
 def test_a_lost_frame_is_found_with_its_time_and_no_shift_is_proposed(filmed):
-    """One frame missing at 12: lost there, in step before; the whole clip is not shifted, which would spoil its first half."""
+    """One frame missing at 12: lost there, in step before; the whole clip is not shifted, which
+    would spoil its first half.
+    """
     check = spoilt(filmed, {"cam04": lose(12)})
 
     found = minded(check)
@@ -149,10 +169,15 @@ def test_a_lost_frame_is_found_with_its_time_and_no_shift_is_proposed(filmed):
 
 @pytest.fixture
 def recalled(filmed, rig, monkeypatch) -> Path:
-    """A rig on disk to damage; a check looks at the frames of cam02 alone, of the others it recalls what is recorded."""
+    """A rig on disk to damage; a check looks at the frames of cam02 alone, of the others it recalls
+    what is recorded.
+    """
 
     def recall(capture: Capture, _workers: int) -> list[CameraRecord]:
-        return [record_camera(capture, old.name) if old.name == "cam02" else old for old in filmed.records]
+        return [
+            record_camera(capture, old.name) if old.name == "cam02" else old
+            for old in filmed.records
+        ]
 
     monkeypatch.setattr(check_module, "record_cameras", recall)
     monkeypatch.chdir(rig.parent)
@@ -161,12 +186,19 @@ def recalled(filmed, rig, monkeypatch) -> Path:
 
 @pytest.mark.slow
 def test_a_gain_is_written_within_two_percent_and_said_before_and_after(filmed, recalled, capsys):
-    """15 % brighter: that camera alone is corrected, with its gain before and after; a clean rig is left alone."""
+    """15 % brighter: that camera alone is corrected, with its gain before and after; a clean rig is
+    left alone.
+    """
     check_command(recalled, repair=True, jobs=1)
     assert not (recalled / FILE).exists()
     assert "corrections" not in capsys.readouterr().out
 
-    write_video(recalled / "cam02.mp4", [brighten(frame, 1.15) for frame in filmed.frames["cam02"]], 30.0, crf=6)
+    write_video(
+        recalled / "cam02.mp4",
+        [brighten(frame, 1.15) for frame in filmed.frames["cam02"]],
+        30.0,
+        crf=6,
+    )
     check_command(recalled, repair=True, jobs=1)
     corrections = read_corrections(recalled / FILE)
     assert set(corrections) == {"cam02"}
@@ -179,23 +211,45 @@ def test_a_gain_is_written_within_two_percent_and_said_before_and_after(filmed, 
 
 
 def test_a_repair_stays_outside_of_its_interval():
-    """A gain or an offset whose interval holds no fault is not written, however large it was measured."""
+    """A gain or an offset whose interval holds no fault is not written, however large it was
+    measured.
+    """
 
     def finding(question: str, verdict: str, **values: object) -> Finding:
         return Finding("cam01", question, verdict, "", values)  # type: ignore[arg-type]
 
-    assert propose_corrections([finding("time offset", "bad", offset_frames=0.9, half_width_frames=0.6)], {}) == {}
     assert (
-        propose_corrections([finding("time offset", "bad", offset_frames=1.9, half_width_frames=0.2, is_constant=False)], {})
+        propose_corrections(
+            [finding("time offset", "bad", offset_frames=0.9, half_width_frames=0.6)], {}
+        )
         == {}
     )
-    (shifted,) = propose_corrections([finding("time offset", "bad", offset_frames=1.9, half_width_frames=0.6)], {}).values()
+    assert (
+        propose_corrections(
+            [
+                finding(
+                    "time offset",
+                    "bad",
+                    offset_frames=1.9,
+                    half_width_frames=0.2,
+                    is_constant=False,
+                )
+            ],
+            {},
+        )
+        == {}
+    )
+    (shifted,) = propose_corrections(
+        [finding("time offset", "bad", offset_frames=1.9, half_width_frames=0.6)], {}
+    ).values()
     assert shifted.offset_frames == 2
     assert describe_repair([], []) == []
 
 
 def test_a_gain_measured_inside_its_error_is_not_a_warning():
-    """Few matches that scatter: 4 % is measured, but the interval holds 1, and the finding is ok with both numbers."""
+    """Few matches that scatter: 4 % is measured, but the interval holds 1, and the finding is ok
+    with both numbers.
+    """
     from ggvs_eval.geometry.epipolar import MatchedPair
     from ggvs_eval.pipelines.inspection.capture.colour import check_gain
 
@@ -205,7 +259,9 @@ def test_a_gain_measured_inside_its_error_is_not_a_warning():
         uv = rng.uniform(0, 300, (24, 2))
         colours = rng.uniform(60, 150, (24, 3))
         other = colours * np.exp(rng.normal(0, 0.25, (24, 1)))
-        pairs.append(MatchedPair(first, second, uv, uv, colours.astype(np.float32), other.astype(np.float32)))
+        pairs.append(
+            MatchedPair(first, second, uv, uv, colours.astype(np.float32), other.astype(np.float32))
+        )
     rig, *cameras = check_gain("abc", pairs)
 
     assert {each.verdict for each in (rig, *cameras)} == {"ok"}
@@ -222,7 +278,9 @@ def write_table(folder: Path, frames: dict[str, Frames], n_frames: int = 1) -> P
 
 @pytest.mark.proof
 def test_a_shared_lens_that_fits_all_is_not_questioned(filmed, tmp_path):
-    """Of a clean rig with poses by `calibrate` no camera's lens disagrees, and no gain is written."""
+    """Of a clean rig with poses by `calibrate` no camera's lens disagrees, and no gain is
+    written.
+    """
     found = calibrate(write_table(tmp_path / "table", filmed.frames, 14), tmp_path / "rig", SHARED)
     check = check_capture(tmp_path / "rig")
 
@@ -235,22 +293,34 @@ def test_a_shared_lens_that_fits_all_is_not_questioned(filmed, tmp_path):
 
 @pytest.mark.proof
 def test_one_zoom_under_a_shared_lens_is_named_and_can_be_freed(filmed, tmp_path):
-    """8 %: that camera and no other, the factor within its interval; freed, the common focal length is right again."""
-    table = write_table(tmp_path / "table", filmed.frames | {"cam02": [warp(filmed.frames["cam02"][0], zoom=1.08)]})
+    """8 %: that camera and no other, the factor within its interval; freed, the common focal length
+    is right again.
+    """
+    table = write_table(
+        tmp_path / "table", filmed.frames | {"cam02": [warp(filmed.frames["cam02"][0], zoom=1.08)]}
+    )
     calibrated = calibrate(table, tmp_path / "rig", SHARED)
 
     assert set(calibrated.odd_lenses) == {"cam02"}
     lens = calibrated.odd_lenses["cam02"]
     assert lens.factor == pytest.approx(1.08, abs=max(lens.half_width, 0.01))
-    (bad,) = [finding for finding in check_capture(tmp_path / "rig").of("lens") if finding.verdict == "bad"]
+    (bad,) = [
+        finding
+        for finding in check_capture(tmp_path / "rig").of("lens")
+        if finding.verdict == "bad"
+    ]
     assert bad.subject == "cam02"
     assert "--own-lens cam02" in bad.advice
 
     freed = calibrate(table, tmp_path / "freed", replace(SHARED, own_lens=("cam02",)))
     truth = filmed.cameras[0].focal_px
-    error, freed_error = (abs(found.cameras["cam00"].focal_px / truth - 1) for found in (calibrated, freed))
+    error, freed_error = (
+        abs(found.cameras["cam00"].focal_px / truth - 1) for found in (calibrated, freed)
+    )
     assert freed_error < min(0.03, error)
-    assert freed.cameras["cam02"].focal_px / freed.cameras["cam00"].focal_px == pytest.approx(1.08, abs=0.01)
+    assert freed.cameras["cam02"].focal_px / freed.cameras["cam00"].focal_px == pytest.approx(
+        1.08, abs=0.01
+    )
     assert freed.mean_reprojection_error_px < calibrated.mean_reprojection_error_px
 
 
@@ -260,5 +330,9 @@ def test_own_lenses_want_a_shared_one_and_known_names(filmed, tmp_path):
     with pytest.raises(CaptureError, match="wanted shared intrinsics with --own-lens"):
         CalibrationOptions(own_lens=("cam02",))
     table = write_table(tmp_path / "table", filmed.frames)
-    with pytest.raises(CaptureError, match="wanted cameras for --own-lens, got cam99; there are cam00"):
-        calibrate(table, tmp_path / "rig", CalibrationOptions(shared_intrinsics=True, own_lens=("cam99",)))
+    with pytest.raises(
+        CaptureError, match="wanted cameras for --own-lens, got cam99; there are cam00"
+    ):
+        calibrate(
+            table, tmp_path / "rig", CalibrationOptions(shared_intrinsics=True, own_lens=("cam99",))
+        )

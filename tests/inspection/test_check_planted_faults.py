@@ -11,7 +11,12 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.llff import read_llff_poses, write_llff_poses
 from ggvs_eval.files.images import write_image
-from ggvs_eval.pipelines.inspection.capture.check import QUESTIONS, CaptureCheck, check_capture, run_check
+from ggvs_eval.pipelines.inspection.capture.check import (
+    QUESTIONS,
+    CaptureCheck,
+    check_capture,
+    run_check,
+)
 from helpers.small_rig import N_FRAMES, NAMES, brighten, film
 
 
@@ -25,7 +30,9 @@ def scale_focal(camera: Camera, factor: float) -> Camera:
 
 
 def mirror_world(camera: Camera, axis: int) -> Camera:
-    """The pose in a world mirrored along an axis, and along the camera's own; it stays a rotation."""
+    """The pose in a world mirrored along an axis, and along the camera's own; it stays a
+    rotation.
+    """
     mirror = np.diag(np.where(np.arange(4) == axis, -1.0, 1.0))
     return replace(camera, world_to_camera=mirror @ camera.world_to_camera @ mirror)
 
@@ -46,7 +53,9 @@ def answer(check: CaptureCheck, question: str, subject: str):
 
 @pytest.mark.slow
 def test_a_rig_without_fault_has_no_bad_line_and_no_camera_to_look_at(filmed):
-    """Nothing but the guessed units is remarked on, every question but that is ok, and estimates have intervals."""
+    """Nothing but the guessed units is remarked on, every question but that is ok, and estimates
+    have intervals.
+    """
     check = filmed.check()
 
     assert accused(check) == {}
@@ -55,12 +64,17 @@ def test_a_rig_without_fault_has_no_bad_line_and_no_camera_to_look_at(filmed):
     assert answer(check, "epipolar error", "rig").values["median_px"] < 0.4
     assert answer(check, "time offset", "rig").values["largest_frames"] < 0.3
     for question in ("stands still", "colour over time", "colour gain", "time offset"):
-        assert all(" +- " in finding.measured or "(+- " in finding.measured for finding in check.of(question)[1:])
+        assert all(
+            " +- " in finding.measured or "(+- " in finding.measured
+            for finding in check.of(question)[1:]
+        )
 
 
 @pytest.mark.slow
 def test_swapped_cameras_are_named_with_the_mend(filmed):
-    """Two exchanged videos are both bad by epipolar error, said to fit each other's poses, and nobody else is blamed."""
+    """Two exchanged videos are both bad by epipolar error, said to fit each other's poses, and
+    nobody else is blamed.
+    """
     check = filmed.check(cam01=filmed.frames["cam05"], cam05=filmed.frames["cam01"])
 
     assert accused(check) == {"epipolar error": {"cam01", "cam05"}}
@@ -78,13 +92,18 @@ def test_swapped_cameras_of_a_small_rig_are_named(filmed):
     few = replace(filmed, cameras=filmed.cameras[:5], records=filmed.records[:5])
     check = few.check(cam01=filmed.frames["cam03"], cam03=filmed.frames["cam01"])
 
-    assert "they fit if cam01 and cam03 exchange frames or poses" in answer(check, "epipolar error", "rig").measured
+    assert (
+        "they fit if cam01 and cam03 exchange frames or poses"
+        in answer(check, "epipolar error", "rig").measured
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.05, pytest.param(0.95, marks=pytest.mark.slow)])
 def test_a_wrong_focal_length_is_named_with_its_factor(filmed, factor):
-    """One camera whose focal length is 5 % off is bad, and the factor that mends it is found within 1 %."""
+    """One camera whose focal length is 5 % off is bad, and the factor that mends it is found within
+    1 %.
+    """
     check = filmed.check(changed(filmed, "cam02", lambda camera: scale_focal(camera, factor)))
 
     assert accused(check) == {"epipolar error": {"cam02"}, "intrinsics": {"cam02"}}
@@ -107,7 +126,9 @@ def test_a_focal_length_wrong_in_all_cameras_is_said_of_the_rig(filmed):
 
 @pytest.mark.slow
 def test_a_mirrored_pose_that_is_still_a_rotation_is_found(filmed):
-    """A pose mirrored in a world plane passes as a rotation; its epipolar error gives it away and the mirror is named."""
+    """A pose mirrored in a world plane passes as a rotation; its epipolar error gives it away and
+    the mirror is named.
+    """
     check = filmed.check(changed(filmed, "cam03", lambda camera: mirror_world(camera, 0)))
 
     assert set(accused(check)["epipolar error"]) == {"cam03"}
@@ -120,7 +141,9 @@ def test_a_mirrored_pose_that_is_still_a_rotation_is_found(filmed):
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [1, 2])
 def test_a_mirrored_system_of_all_cameras_is_named(filmed, axis):
-    """Left-handed axes, the world's and the cameras', pass as rotations; the pictures contradict, and the mirror is named."""
+    """Left-handed axes, the world's and the cameras', pass as rotations; the pictures contradict,
+    and the mirror is named.
+    """
     check = filmed.check([mirror_world(camera, axis) for camera in filmed.cameras])
 
     found = answer(check, "epipolar error", "rig")
@@ -131,10 +154,16 @@ def test_a_mirrored_system_of_all_cameras_is_named(filmed, axis):
 
 @pytest.mark.slow
 def test_a_pose_turned_round_is_found_by_pose_and_by_matches(filmed):
-    """Half a turn about the x axis, as OpenGL's axes would be, looks away from the scene and puts the matches behind it."""
+    """Half a turn about the x axis, as OpenGL's axes would be, looks away from the scene and puts
+    the matches behind it.
+    """
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     check = filmed.check(
-        changed(filmed, "cam05", lambda camera: replace(camera, world_to_camera=half_turn @ camera.world_to_camera))
+        changed(
+            filmed,
+            "cam05",
+            lambda camera: replace(camera, world_to_camera=half_turn @ camera.world_to_camera),
+        )
     )
 
     assert answer(check, "poses", "cam05").verdict == "bad"
@@ -145,9 +174,13 @@ def test_a_pose_turned_round_is_found_by_pose_and_by_matches(filmed):
 
 @pytest.mark.slow
 def test_a_reflection_is_the_first_line_and_what_needs_poses_is_unknown(rig):
-    """A pose with determinant -1: one bad line with the message; what frames alone tell is told, and no question passed over."""
+    """A pose with determinant -1: one bad line with the message; what frames alone tell is told,
+    and no question passed over.
+    """
     poses = read_llff_poses(rig / "poses_bounds.npy")
-    poses[3] = poses[3]._replace(world_to_camera=np.diag([-1.0, 1, 1, 1]) @ poses[3].world_to_camera)
+    poses[3] = poses[3]._replace(
+        world_to_camera=np.diag([-1.0, 1, 1, 1]) @ poses[3].world_to_camera
+    )
     write_llff_poses(rig / "poses_bounds.npy", poses)
 
     check = check_capture(rig)
@@ -163,14 +196,18 @@ def test_a_reflection_is_the_first_line_and_what_needs_poses_is_unknown(rig):
         "stands still",
         "noise",
     }
-    assert {finding.measured for finding in others if finding.verdict == "unknown"} == {"the capture does not open"}
+    assert {finding.measured for finding in others if finding.verdict == "unknown"} == {
+        "the capture does not open"
+    }
     assert not check.is_usable
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shift", [2, -2])
 def test_a_camera_out_of_step_is_found(filmed, shift):
-    """One camera two frames ahead or behind is bad with its offset and the sign; all others are ok."""
+    """One camera two frames ahead or behind is bad with its offset and the sign; all others
+    are ok.
+    """
     check = filmed.check(cam02=film(filmed.cameras[2], shift))
 
     found = answer(check, "time offset", "cam02")
@@ -182,7 +219,9 @@ def test_a_camera_out_of_step_is_found(filmed, shift):
 
 @pytest.mark.slow
 def test_a_gain_of_15_percent_is_found(filmed):
-    """The camera that is 1.15 times as bright is warned of, its gain known within 2 %; all others are ok."""
+    """The camera that is 1.15 times as bright is warned of, its gain known within 2 %; all others
+    are ok.
+    """
     check = filmed.check(cam05=[brighten(frame, 1.15) for frame in filmed.frames["cam05"]])
 
     found = answer(check, "colour gain", "cam05")
@@ -193,9 +232,13 @@ def test_a_gain_of_15_percent_is_found(filmed):
 
 @pytest.mark.slow
 def test_frozen_frames_are_found(filmed):
-    """A frame that repeats the one before while the others move on is named; four of them are bad."""
+    """A frame that repeats the one before while the others move on is named; four of them
+    are bad.
+    """
     once, often = filmed.frames["cam01"], filmed.frames["cam04"]
-    check = filmed.check(cam01=[*once[:10], once[9], *once[11:]], cam04=[*often[:12], *[often[11]] * 4, *often[16:]])
+    check = filmed.check(
+        cam01=[*once[:10], once[9], *once[11:]], cam04=[*often[:12], *[often[11]] * 4, *often[16:]]
+    )
 
     one, four = (answer(check, "frozen frames", name) for name in ("cam01", "cam04"))
     assert (one.verdict, one.values["frames"]) == ("warn", [10])
@@ -205,7 +248,9 @@ def test_frozen_frames_are_found(filmed):
 
 @pytest.mark.slow
 def test_damage_names_the_file_and_the_frame_and_the_other_cameras_go_on(rig):
-    """Zeros in the middle of one video: that camera is bad from a certain frame on, all others are read to their end."""
+    """Zeros in the middle of one video: that camera is bad from a certain frame on, all others are
+    read to their end.
+    """
     video = rig / "cam02.mp4"
     content = bytearray(video.read_bytes())
     size = len(content) // 4
@@ -218,7 +263,11 @@ def test_damage_names_the_file_and_the_frame_and_the_other_cameras_go_on(rig):
     assert found.verdict == "bad"
     assert "cam02.mp4" in found.measured
     assert 0 < found.values["damaged"][0] < N_FRAMES
-    assert all(answer(check, "frames", name).values["n_read"] == N_FRAMES for name in NAMES if name != "cam02")
+    assert all(
+        answer(check, "frames", name).values["n_read"] == N_FRAMES
+        for name in NAMES
+        if name != "cam02"
+    )
     assert accused(check) == {"frames": {"cam02"}}
 
 
@@ -235,8 +284,12 @@ def test_a_truncated_video_does_not_open(rig):
 
 
 @pytest.mark.slow
-def test_a_single_instant_leaves_timing_and_noise_unknown_with_the_reason(filmed, written_rig, tmp_path):
-    """One image per camera: what needs time says so, geometry and colour are evaluated as ever, in worker processes too."""
+def test_a_single_instant_leaves_timing_and_noise_unknown_with_the_reason(
+    filmed, written_rig, tmp_path
+):
+    """One image per camera: what needs time says so, geometry and colour are evaluated as ever, in
+    worker processes too.
+    """
     for name in NAMES:
         write_image(tmp_path / "one" / name / "images" / "0000.png", filmed.frames[name][0])
     shutil.copy(written_rig / "poses_bounds.npy", tmp_path / "one")
@@ -267,7 +320,13 @@ def test_a_scene_in_which_nothing_moves_leaves_timing_unknown(filmed):
 @pytest.mark.slow
 def test_depth_bounds_in_other_units_are_found(filmed):
     """Near and far ten times too large contradict the depth of the matches."""
-    check = filmed.check(changed(filmed, "cam03", lambda camera: replace(camera, near=10 * camera.near, far=10 * camera.far)))
+    check = filmed.check(
+        changed(
+            filmed,
+            "cam03",
+            lambda camera: replace(camera, near=10 * camera.near, far=10 * camera.far),
+        )
+    )
 
     assert answer(check, "depth range", "cam03").verdict == "bad"
     assert accused(check)["depth range"] == {"cam03"}
@@ -275,7 +334,9 @@ def test_depth_bounds_in_other_units_are_found(filmed):
 
 @pytest.mark.slow
 def test_run_check_writes_json_and_a_table_that_fits(written_rig, tmp_path):
-    """The JSON holds every finding; the table has one line per question and stays within 130 columns."""
+    """The JSON holds every finding; the table has one line per question and stays within 130
+    columns.
+    """
     check, table = run_check(written_rig, tmp_path / "check.json")
 
     written = json.loads((tmp_path / "check.json").read_text())
@@ -289,7 +350,9 @@ def test_run_check_writes_json_and_a_table_that_fits(written_rig, tmp_path):
 
 @pytest.mark.slow
 def test_capture_of_one_camera_is_told_what_cannot_be_known(rig):
-    """A lone camera has no neighbours: nothing fails, and each question that needs them is unknown."""
+    """A lone camera has no neighbours: nothing fails, and each question that needs them is
+    unknown.
+    """
     for name in NAMES[1:]:
         (rig / f"{name}.mp4").unlink()
     write_llff_poses(rig / "poses_bounds.npy", read_llff_poses(rig / "poses_bounds.npy")[:1])
@@ -305,7 +368,9 @@ def test_capture_of_one_camera_is_told_what_cannot_be_known(rig):
 def test_two_poses_at_one_place_blame_the_one_that_its_images_contradict(filmed):
     """Of two cameras with one pose the one whose matches fit it is let off."""
     pose = filmed.cameras[2].world_to_camera
-    check = filmed.check(changed(filmed, "cam03", lambda camera: replace(camera, world_to_camera=pose)))
+    check = filmed.check(
+        changed(filmed, "cam03", lambda camera: replace(camera, world_to_camera=pose))
+    )
 
     assert answer(check, "poses", "cam03").verdict == "bad"
     assert answer(check, "poses", "cam02").verdict == "ok"

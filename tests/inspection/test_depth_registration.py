@@ -59,16 +59,22 @@ def sequence(shifts: list[tuple[int, int]]) -> Capture:
     ],
 )
 def test_depth_that_is_off_its_colour_is_found(shifts, verdict, off_px):
-    """A common offset is measured, with the way back; frames that are off in different ways are said."""
+    """A common offset is measured, with the way back; frames that are off in different ways are
+    said.
+    """
     (finding,) = check_depth_registration(sequence(shifts))
     assert finding.verdict == verdict, finding
     if off_px is None:
         assert "differ from frame to frame" in finding.advice
     else:
         assert finding.values["displacement_px"] == pytest.approx(off_px, abs=0.2)
-        assert [finding.values["right_px"], finding.values["down_px"]] == pytest.approx([-shifts[0][0], -shifts[0][1]], abs=0.2)
+        assert [finding.values["right_px"], finding.values["down_px"]] == pytest.approx(
+            [-shifts[0][0], -shifts[0][1]], abs=0.2
+        )
 
 
 def test_boards_without_edges_of_depth_are_unknown():
-    """A wall alone, or a rig of sensors, is not measured; a capture without sensors is not asked."""
+    """A wall alone, or a rig of sensors, is not measured; a capture without sensors is not
+    asked.
+    """
     assert check_depth_registration(sequence([(500, 500)] * N_FRAMES))[0].verdict == "unknown"

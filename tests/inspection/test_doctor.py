@@ -1,4 +1,6 @@
-"""Faults planted in imperfect renders of the demo are found, each as what it is; in honest renders nothing is found."""
+"""Faults planted in imperfect renders of the demo are found, each as what it is; in honest renders
+nothing is found.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -13,7 +15,12 @@ from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.border import find_border
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.examine import examine, explain_loss, faults_table
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
+from ggvs_eval.pipelines.inspection.renders.identity import (
+    ViewFrames,
+    cameras_of_run,
+    views_of_run,
+    views_there,
+)
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks, doubt_numbering
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
@@ -27,7 +34,9 @@ VIEW, OTHER = "cam00", "cam03"
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> dict[str, np.ndarray]:
-    """What four cameras see without noise, each (T, H, W, 3): honest renders are made of it, and have none of the truth's."""
+    """What four cameras see without noise, each (T, H, W, 3): honest renders are made of it, and
+    have none of the truth's.
+    """
     return film_without_noise(tmp_path_factory.mktemp("doctor") / "demo", N_FRAMES)
 
 
@@ -35,12 +44,17 @@ def filmed(tmp_path_factory) -> dict[str, np.ndarray]:
 def truth(filmed) -> dict[str, np.ndarray]:
     """Captured frames: what the cameras see, with their noise."""
     rng = np.random.default_rng(8)
-    return {name: round_levels(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
+    return {
+        name: round_levels(frames + rng.normal(0, 1.5, frames.shape))
+        for name, frames in filmed.items()
+    }
 
 
 def blurred(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Soft, in false colours: 22 to 26 dB."""
-    return np.stack([round_levels(cv2.GaussianBlur(f, (0, 0), 1.8) * (0.92, 1.0, 1.08)) for f in frames])
+    return np.stack(
+        [round_levels(cv2.GaussianBlur(f, (0, 0), 1.8) * (0.92, 1.0, 1.08)) for f in frames]
+    )
 
 
 def noisy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -50,17 +64,27 @@ def noisy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Wrong depth: parts displaced by up to some pixels, doubled at edges, with holes, flickering, soft."""
+    """Wrong depth: parts displaced by up to some pixels, doubled at edges, with holes, flickering,
+    soft.
+    """
     height, width = frames.shape[1:3]
     y, x = np.mgrid[:height, :width].astype(np.float32)
     fields = [
-        cv2.resize(rng.normal(0, 1.0, (9, 12)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC) for _ in "1234"
+        cv2.resize(
+            rng.normal(0, 1.0, (9, 12)).astype(np.float32),
+            (width, height),
+            interpolation=cv2.INTER_CUBIC,
+        )
+        for _ in "1234"
     ]
     fields = [field - field.mean() for field in fields]
     holes = cv2.resize(rng.random((36, 48)).astype(np.float32), (width, height)) > 0.93
     rendered = []
     for frame in frames:
-        one, other = (cv2.remap(frame, x + a, y + b, cv2.INTER_LINEAR).astype(np.float32) for a, b in (fields[:2], fields[2:]))
+        one, other = (
+            cv2.remap(frame, x + a, y + b, cv2.INTER_LINEAR).astype(np.float32)
+            for a, b in (fields[:2], fields[2:])
+        )
         image = cv2.GaussianBlur((0.6 * one + 0.4 * other) * rng.normal(1, 0.01), (0, 0), 0.7)
         image[holes] *= 0.1
         rendered.append(round_levels(image))
@@ -68,8 +92,22 @@ def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 QUICK = {
-    *("GRB", "linear light", "upside down", "stretched", "repeated pixels", "JPEG 60", "quarter pixel left"),
-    *("truth in every 6th frame", "blend with 20 % truth", "flicker, alternating +-3 %", "gamma 1.1", "stretched from 16-235"),
+    *(
+        "GRB",
+        "linear light",
+        "upside down",
+        "stretched",
+        "repeated pixels",
+        "JPEG 60",
+        "quarter pixel left",
+    ),
+    *(
+        "truth in every 6th frame",
+        "blend with 20 % truth",
+        "flicker, alternating +-3 %",
+        "gamma 1.1",
+        "stretched from 16-235",
+    ),
     "reversed time",
 }
 HONEST = {render.__name__: render for render in (blurred, noisy, warped)}
@@ -77,19 +115,30 @@ HONEST = {render.__name__: render for render in (blurred, noisy, warped)}
 
 @pytest.fixture(scope="module")
 def honest(filmed) -> dict[str, dict[str, np.ndarray]]:
-    """Kind -> camera -> imperfect renders; false colours are the other way round in every other camera."""
+    """Kind -> camera -> imperfect renders; false colours are the other way round in every other
+    camera.
+    """
     orders = dict(zip(filmed, 2 * ([0, 1, 2], [2, 1, 0]), strict=True))
     return {
-        kind: {name: render(filmed[name][..., order], np.random.default_rng(3))[..., order] for name, order in orders.items()}
+        kind: {
+            name: render(filmed[name][..., order], np.random.default_rng(3))[..., order]
+            for name, order in orders.items()
+        }
         for kind, render in HONEST.items()
     }
 
 
-def view_of(rendered: np.ndarray, captured: np.ndarray, frames: range = range(N_FRAMES)) -> ViewFrames:
-    return ViewFrames(lambda index: rendered[index], lambda index: captured[index], frames, range(len(captured)))
+def view_of(
+    rendered: np.ndarray, captured: np.ndarray, frames: range = range(N_FRAMES)
+) -> ViewFrames:
+    return ViewFrames(
+        lambda index: rendered[index], lambda index: captured[index], frames, range(len(captured))
+    )
 
 
-def diagnose(rendered: np.ndarray, truth: dict[str, np.ndarray], frames: range = range(N_FRAMES)) -> list[Finding]:
+def diagnose(
+    rendered: np.ndarray, truth: dict[str, np.ndarray], frames: range = range(N_FRAMES)
+) -> list[Finding]:
     """Findings on renders that are said to be of VIEW."""
     cameras = {name: captured.__getitem__ for name, captured in truth.items()}
     return examine({VIEW: view_of(rendered, truth[VIEW], frames)}, cameras)
@@ -103,13 +152,17 @@ def cropped(share_x: float, share_y: float) -> Callable[[np.ndarray], np.ndarray
     """The middle of the picture, stretched to the whole."""
     columns, rows = round(SIZE[0] * (1 - share_x) / 2), round(SIZE[1] * (1 - share_y) / 2)
     return lambda image: cv2.resize(
-        np.ascontiguousarray(image[rows : SIZE[1] - rows, columns : SIZE[0] - columns]), SIZE, interpolation=cv2.INTER_AREA
+        np.ascontiguousarray(image[rows : SIZE[1] - rows, columns : SIZE[0] - columns]),
+        SIZE,
+        interpolation=cv2.INTER_AREA,
     )
 
 
 def enlarged(factor: float, interpolation: int) -> Callable[[np.ndarray], np.ndarray]:
     small = round(SIZE[0] / factor), round(SIZE[1] / factor)
-    return lambda image: cv2.resize(cv2.resize(image, small, interpolation=cv2.INTER_AREA), SIZE, interpolation=interpolation)
+    return lambda image: cv2.resize(
+        cv2.resize(image, small, interpolation=cv2.INTER_AREA), SIZE, interpolation=interpolation
+    )
 
 
 PLANTED = {
@@ -135,7 +188,9 @@ PLANTED = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", HONEST)
 def test_honest_renders_have_no_finding(kind, honest, truth):
-    """Blur, noise, casts, haze, wrong depth, ghosts, holes and flicker are no faults of handling."""
+    """Blur, noise, casts, haze, wrong depth, ghosts, holes and flicker are no faults of
+    handling.
+    """
     views = {name: view_of(honest[kind][name], truth[name]) for name in truth}
 
     assert examine(views) == []
@@ -143,7 +198,9 @@ def test_honest_renders_have_no_finding(kind, honest, truth):
 
 def quick_first(names: Iterable[str]) -> list:
     """Those that are not quick are proofs."""
-    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.proof) for name in names]
+    return [
+        name if name in QUICK else pytest.param(name, marks=pytest.mark.proof) for name in names
+    ]
 
 
 @pytest.mark.parametrize("planted", quick_first(PLANTED))
@@ -157,7 +214,9 @@ def test_a_fault_of_every_picture_is_found_and_no_other(planted, honest, truth):
 
 
 def soft(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A good rendering: a quarter of a pixel explains some of its error, and next to none of a bad one's."""
+    """A good rendering: a quarter of a pixel explains some of its error, and next to none of a bad
+    one's.
+    """
     return np.stack([round_levels(cv2.GaussianBlur(f, (0, 0), 1.0) * 1.02) for f in frames])
 
 
@@ -167,7 +226,9 @@ SHARP = ("focal length", "reversed time")
 
 @pytest.mark.parametrize("planted", quick_first(PLANTED_IN_VIEWS))
 def test_a_fault_of_a_clip_is_found_and_no_other(planted, honest, filmed, truth):
-    """Truth in some frames or mixed into all, flicker, slight gamma, video range, small shifts and zooms, reversed time."""
+    """Truth in some frames or mixed into all, flicker, slight gamma, video range, small shifts and
+    zooms, reversed time.
+    """
     fault = PLANTED_IN_VIEWS[planted]
     rendered = honest["noisy" if fault.question in SHARP else "blurred"][VIEW]
     if fault.question == "shift":
@@ -180,10 +241,14 @@ def test_a_fault_of_a_clip_is_found_and_no_other(planted, honest, filmed, truth)
 
 @pytest.mark.slow
 def test_frames_that_are_copies_are_named(honest, truth):
-    """The outliers are listed, bit by bit or written again as JPEG, and a copy that is one is certain."""
+    """The outliers are listed, bit by bit or written again as JPEG, and a copy that is one is
+    certain.
+    """
     rendered, captured = honest["warped"][VIEW], truth[VIEW]
     for recode in (lambda image: image, jpeg(90)):
-        some = np.stack([recode(captured[i]) if i in (2, 6) else rendered[i] for i in range(N_FRAMES)])
+        some = np.stack(
+            [recode(captured[i]) if i in (2, 6) else rendered[i] for i in range(N_FRAMES)]
+        )
         (finding,) = diagnose(some, truth)
 
         assert (finding.question, finding.verdict) == ("truth copied in", "certain")
@@ -201,19 +266,32 @@ def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
 
 @pytest.mark.parametrize("width", [48, 64, 96, pytest.param(120, marks=pytest.mark.slow)])
 def test_a_small_picture_accuses_nobody(width, filmed, honest):
-    """Scaled down, honest renders lose the errors that tell them from copies: unknown, no copy and no other instant."""
+    """Scaled down, honest renders lose the errors that tell them from copies: unknown, no copy and
+    no other instant.
+    """
     height, small = round(width * SIZE[1] / SIZE[0]), {}
-    for kind, frames in {"captured": filmed[VIEW], "warped": honest["warped"][VIEW], "nearly": filmed[OTHER]}.items():
+    for kind, frames in {
+        "captured": filmed[VIEW],
+        "warped": honest["warped"][VIEW],
+        "nearly": filmed[OTHER],
+    }.items():
         small[kind] = np.stack([resize(frame, width, height, "area") for frame in frames])
     noise = np.random.default_rng(8).normal(0, 0.4, small["captured"].shape)
     captured = round_levels(small["captured"] + noise)
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
     for index, frame in enumerate(small["captured"]):
-        across, down = columns + 0.15 * np.sin(rows / 4 + index), rows + 0.15 * np.cos(columns / 5 + index)
-        small["nearly"][index] = cv2.remap(frame, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR)
+        across, down = (
+            columns + 0.15 * np.sin(rows / 4 + index),
+            rows + 0.15 * np.cos(columns / 5 + index),
+        )
+        small["nearly"][index] = cv2.remap(
+            frame, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR
+        )
     for kind in ("warped", "nearly"):
         view = view_of(small[kind], captured)
-        assert QuickChecks(VIEW, view.truth, view.truth_range).check(view.rendered, view.frames) == []
+        assert (
+            QuickChecks(VIEW, view.truth, view.truth_range).check(view.rendered, view.frames) == []
+        )
     if width < 64:
         assert [finding.verdict for finding in find_copied(VIEW, view)] == ["unknown"]
 
@@ -222,7 +300,9 @@ def test_a_small_picture_accuses_nobody(width, filmed, honest):
 def test_a_very_good_rendering_is_no_copy(filmed, truth):
     """What fits in every patch, but has noise of its own, is not accused."""
     rng = np.random.default_rng(2)
-    assert diagnose(round_levels(filmed[VIEW] + rng.normal(0, 0.5, filmed[VIEW].shape)), truth) == []
+    assert (
+        diagnose(round_levels(filmed[VIEW] + rng.normal(0, 0.5, filmed[VIEW].shape)), truth) == []
+    )
 
 
 @pytest.mark.slow
@@ -250,11 +330,18 @@ def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
 
     assert finding.question == "frame offset"
     assert finding.values["offset_frames"] == offset
-    flags = f"--frames {N_FRAMES - abs(offset)}" if offset < 0 else f"--start {offset} --frames {N_FRAMES - offset}"
+    flags = (
+        f"--frames {N_FRAMES - abs(offset)}"
+        if offset < 0
+        else f"--start {offset} --frames {N_FRAMES - offset}"
+    )
     assert f"by {offset:+d} and, as instant" in finding.advice
     assert f"mine.toml {flags})" in finding.advice
     assert doubt_numbering(finding, 0, 3) == finding == doubt_numbering(finding, -offset, 3)
-    assert f"protocol CAPTURE mine.toml --start {3 + offset}" in doubt_numbering(finding, offset, 3).advice
+    assert (
+        f"protocol CAPTURE mine.toml --start {3 + offset}"
+        in doubt_numbering(finding, offset, 3).advice
+    )
 
 
 @pytest.mark.slow
@@ -269,26 +356,39 @@ def test_the_wrong_camera_is_named(kind, honest, truth):
 
 @pytest.mark.slow
 def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
-    """Half a pixel in every view is found in each, also where wrong depth scatters the parts of the picture."""
+    """Half a pixel in every view is found in each, also where wrong depth scatters the parts of the
+    picture.
+    """
     views = {
         name: view_of(np.stack([moved(0.5, 0.5)(image) for image in frames]), truth[name])
         for name, frames in honest["warped"].items()
     }
 
-    assert [(one.subject, one.question) for one in examine(views)] == [(name, "shift") for name in truth]
+    assert [(one.subject, one.question) for one in examine(views)] == [
+        (name, "shift") for name in truth
+    ]
 
 
-@pytest.mark.parametrize(("shift", "kind"), [pytest.param((1, -2), "warped", marks=pytest.mark.slow), ((9, -6), "blurred")])
+@pytest.mark.parametrize(
+    ("shift", "kind"),
+    [pytest.param((1, -2), "warped", marks=pytest.mark.slow), ((9, -6), "blurred")],
+)
 def test_a_shift_is_measured(shift, kind, honest, truth):
-    """To a tenth of a pixel, and a crop that is off by many pixels is a shift, not another picture."""
+    """To a tenth of a pixel, and a crop that is off by many pixels is a shift, not another
+    picture.
+    """
     (finding,) = diagnose(np.stack([moved(*shift)(image) for image in honest[kind][VIEW]]), truth)
 
     assert finding.question == "shift"
-    assert (finding.values["shift_x_px"], finding.values["shift_y_px"]) == pytest.approx(shift, abs=0.15)
+    assert (finding.values["shift_x_px"], finding.values["shift_y_px"]) == pytest.approx(
+        shift, abs=0.15
+    )
 
 
 def test_a_shift_that_explains_little_of_the_error_is_no_fault(honest, truth):
-    """Honest baselines are moved by wrong depth, which costs next to nothing beside their other errors."""
+    """Honest baselines are moved by wrong depth, which costs next to nothing beside their other
+    errors.
+    """
     shifted = moved(0.25, 0)
     rendered = np.stack([shifted(image) for image in honest["noisy"][VIEW]])
 
@@ -298,7 +398,9 @@ def test_a_shift_that_explains_little_of_the_error_is_no_fault(honest, truth):
 @pytest.mark.slow
 def test_a_scale_is_measured(honest, truth):
     """To one per cent, across and down."""
-    (scale,) = diagnose(np.stack([cropped(0.8, 1)(image) for image in honest["warped"][VIEW]]), truth)
+    (scale,) = diagnose(
+        np.stack([cropped(0.8, 1)(image) for image in honest["warped"][VIEW]]), truth
+    )
 
     assert scale.values["scale_x"] == pytest.approx(1.25, abs=0.0125)
     assert scale.values["scale_y"] == pytest.approx(1, abs=0.0125)
@@ -315,26 +417,40 @@ def test_the_truth_itself_is_found_out(truth):
     assert (exact.question, exact.verdict) == ("truth copied in", "certain")
     assert faults(diagnose(round_levels(captured + noise), truth)) == ["truth copied in"]
     assert faults(diagnose(soft, truth)) == ["truth copied in"]
-    assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == ["truth copied in", "JPEG"]
+    assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == [
+        "truth copied in",
+        "JPEG",
+    ]
 
 
 @pytest.mark.slow
 def test_sensor_noise_in_the_rendering_is_certain_proof():
-    """A rendering that carries the truth's own noise is found although it is blended with another picture."""
+    """A rendering that carries the truth's own noise is found although it is blended with another
+    picture.
+    """
     rng = np.random.default_rng(1)
-    scene, wrong = (cv2.resize(rng.uniform(60, 200, (9, 12, 3)), SIZE, interpolation=cv2.INTER_CUBIC) for _ in "12")
+    scene, wrong = (
+        cv2.resize(rng.uniform(60, 200, (9, 12, 3)), SIZE, interpolation=cv2.INTER_CUBIC)
+        for _ in "12"
+    )
     captured = np.stack([round_levels(scene + rng.normal(0, 3, scene.shape)) for _ in range(4)])
     mixed = round_levels(0.8 * captured + 0.2 * wrong)
-    clean = round_levels(np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)]))
+    clean = round_levels(
+        np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)])
+    )
 
-    found, nothing = (examine({VIEW: view_of(rendered, captured, range(4))}) for rendered in (mixed, clean))
+    found, nothing = (
+        examine({VIEW: view_of(rendered, captured, range(4))}) for rendered in (mixed, clean)
+    )
     assert [(one.question, one.verdict) for one in found] == [("truth copied in", "certain")]
     assert nothing == []
 
 
 @pytest.mark.parametrize("offset", [pytest.param(-2, marks=pytest.mark.slow), 1])
 def test_frames_held_at_the_end_of_an_offset_are_no_fault_of_their_own(offset, honest, truth):
-    """A late set repeats its first frame, an early one its last; a repeat elsewhere is still named."""
+    """A late set repeats its first frame, an early one its last; a repeat elsewhere is
+    still named.
+    """
     held = honest["warped"][VIEW][np.clip(np.arange(N_FRAMES) + offset, 0, N_FRAMES - 1)]
     assert faults(diagnose(held, truth)) == ["frame offset"]
 
@@ -357,7 +473,9 @@ def test_repeated_and_frozen_frames_are_listed(honest, truth):
 
 
 def test_a_black_border_is_named_and_ragged_holes_are_not(honest, truth):
-    """Lines that are black where the truth has a picture are a border with a straight edge; a method's holes end unevenly."""
+    """Lines that are black where the truth has a picture are a border with a straight edge; a
+    method's holes end unevenly.
+    """
     bordered = honest["blurred"][VIEW].copy()
     bordered[:, :6] = 0
     bordered[:, :, -4:] = 0
@@ -386,7 +504,10 @@ def test_blank_frames_are_listed(honest, truth):
 def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
     """A wrong size is told, and does not hide a mirrored picture."""
     rendered = np.stack(
-        [cv2.resize(image, (144, 108), interpolation=cv2.INTER_AREA)[:, ::-1] for image in honest["blurred"][VIEW]]
+        [
+            cv2.resize(image, (144, 108), interpolation=cv2.INTER_AREA)[:, ::-1]
+            for image in honest["blurred"][VIEW]
+        ]
     )
     size, mirrored = diagnose(rendered, truth)
 
@@ -397,7 +518,9 @@ def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
 
 @pytest.mark.slow
 def test_two_faults_are_found_together(honest, truth):
-    """Swapped channels do not hide an offset, nor the other way round; nor a wrong camera a missing gamma."""
+    """Swapped channels do not hide an offset, nor the other way round; nor a wrong camera a missing
+    gamma.
+    """
     moved = np.roll(honest["warped"][VIEW], -2, axis=0)[..., ::-1]
     dark = change("tone curve", power=2.2)(honest["blurred"][OTHER])
 
@@ -420,13 +543,17 @@ def test_a_view_without_frames_is_refused(truth):
 
 
 def test_a_run_folder_is_read(tmp_path):
-    """Views and cameras come from the run folder; a method that is not there and missing frames are refused."""
+    """Views and cameras come from the run folder; a method that is not there and missing frames are
+    refused.
+    """
     run = RunFolder(write_run(tmp_path / "run"))
     views = views_of_run(run, "no-blending")
 
     assert list(views) == ["cam00", "cam03"]
     assert list(views["cam00"].frames) == [2, 3, 4, 5]
-    np.testing.assert_array_equal(views["cam03"].truth(4), read_image(frame_path(run.truth("cam03"), 4)))
+    np.testing.assert_array_equal(
+        views["cam03"].truth(4), read_image(frame_path(run.truth("cam03"), 4))
+    )
     assert sorted(cameras_of_run(run)) == ["cam00", "cam03"]
     with refused(RenderError, "'mine'", "no-blending"):
         views_of_run(run, "mine")
@@ -435,17 +562,26 @@ def test_a_run_folder_is_read(tmp_path):
         views_of_run(run, "no-blending")
     views, (gap,) = views_there(run, "no-blending")
     assert [list(view.frames) for view in views.values()] == [[2, 3, 4, 5], [2, 3]]
-    assert (gap.subject, gap.question, gap.measured) == ("cam03", "missing frames", "lacks 4; only 2-3 examined")
+    assert (gap.subject, gap.question, gap.measured) == (
+        "cam03",
+        "missing frames",
+        "lacks 4; only 2-3 examined",
+    )
 
 
 def test_frames_are_read_at_the_size_at_which_they_are_measured(tmp_path):
-    """What a protocol measures at another size is recomputed at that size, and shown to the doctor as it lies there."""
+    """What a protocol measures at another size is recomputed at that size, and shown to the doctor
+    as it lies there.
+    """
     run = RunFolder(write_run(tmp_path / "run"))
     protocol = run.protocol()
     measurement = replace(protocol.measurement, width=32, height=24, resize_filter="area")
     run.protocol_file.write_text(replace(protocol, measurement=measurement).to_toml())
 
-    plain, measured = (views_of_run(run, "no-blending", as_measured=each)["cam00"].rendered(2) for each in (False, True))
+    plain, measured = (
+        views_of_run(run, "no-blending", as_measured=each)["cam00"].rendered(2)
+        for each in (False, True)
+    )
 
     assert measured.shape == (24, 32, 3)
     np.testing.assert_array_equal(measured, resize(plain, 32, 24, "area"))
@@ -454,7 +590,10 @@ def test_frames_are_read_at_the_size_at_which_they_are_measured(tmp_path):
 def test_the_table_fits_a_screen_and_joins_views():
     """Equal findings of several views share a line of at most 130 characters."""
     values, long = {"offset_frames": 1.0}, "frame t shows instant t+1 and " + "so on " * 30
-    findings = [Finding(name, "frame offset", "certain", long, values, "renumber") for name in [f"cam{i:02d}" for i in range(12)]]
+    findings = [
+        Finding(name, "frame offset", "certain", long, values, "renumber")
+        for name in [f"cam{i:02d}" for i in range(12)]
+    ]
     text = faults_table(findings)
 
     assert "cam06, cam07 and 4 more" in text
@@ -470,7 +609,9 @@ def exposed(honest) -> dict[str, np.ndarray]:
     return {name: round_levels(honest["warped"][name] * gain) for name, gain in EXPOSURES.items()}
 
 
-def examine_all(renders: dict[str, np.ndarray], truth: dict[str, np.ndarray], *changes: Callable) -> list[Finding]:
+def examine_all(
+    renders: dict[str, np.ndarray], truth: dict[str, np.ndarray], *changes: Callable
+) -> list[Finding]:
     """Findings on renders of all cameras after the same changes of every picture."""
     views = {name: view_of(frames, truth[name]) for name, frames in renders.items()}
     for spoil in changes:
@@ -479,9 +620,13 @@ def examine_all(renders: dict[str, np.ndarray], truth: dict[str, np.ndarray], *c
 
 
 def drifting(step_px: tuple[int, int]) -> np.ndarray:
-    """A patch that moves by a number of pixels from one frame to the next in front of a still wall."""
+    """A patch that moves by a number of pixels from one frame to the next in front of a
+    still wall.
+    """
     rng = np.random.default_rng(7)
-    wall, patch = (cv2.resize(rng.uniform(20, 230, (h, w, 3)), (8 * w, 8 * h)) for w, h in ((24, 18), (8, 8)))
+    wall, patch = (
+        cv2.resize(rng.uniform(20, 230, (h, w, 3)), (8 * w, 8 * h)) for w, h in ((24, 18), (8, 8))
+    )
     frames = np.repeat(wall[None], N_FRAMES, axis=0)
     for t, frame in enumerate(frames):
         x, y = 30 + step_px[0] * t, 20 + step_px[1] * t
@@ -491,11 +636,17 @@ def drifting(step_px: tuple[int, int]) -> np.ndarray:
 
 @pytest.mark.slow
 def test_a_shift_by_the_way_of_an_instant_is_no_frame_offset():
-    """What moves is where it is an instant later, what stands still is not: the pictures are shifted, for every check."""
+    """What moves is where it is an instant later, what stands still is not: the pictures are
+    shifted, for every check.
+    """
     film = drifting((5, 3))
-    truth, rendered = (round_levels(film + np.random.default_rng(seed).normal(0, 2, film.shape)) for seed in (1, 2))
+    truth, rendered = (
+        round_levels(film + np.random.default_rng(seed).normal(0, 2, film.shape)) for seed in (1, 2)
+    )
     shifted = view_of(rendered, truth).with_rendered(moved(5, 3))
-    quick = QuickChecks(VIEW, shifted.truth, shifted.truth_range).check(shifted.rendered, shifted.frames)
+    quick = QuickChecks(VIEW, shifted.truth, shifted.truth_range).check(
+        shifted.rendered, shifted.frames
+    )
 
     assert "shift" in faults(examine({VIEW: shifted}))
     assert "frame offset" not in faults([*examine({VIEW: shifted}), *quick])
@@ -508,32 +659,51 @@ def test_a_gain_of_all_views_is_found_on_cameras_that_differ(gain, exposed, trut
     findings = examine_all(exposed, truth, change("gain", gain=gain))
 
     assert faults(findings) == ["gain"] * len(truth)
-    assert findings[0].values["gain"] == pytest.approx(np.broadcast_to(gain, 3), abs=findings[0].values["gain_error"])
+    assert findings[0].values["gain"] == pytest.approx(
+        np.broadcast_to(gain, 3), abs=findings[0].values["gain_error"]
+    )
 
 
 @pytest.mark.slow
 def test_a_gain_of_shifted_pictures_is_found_and_cameras_that_differ_have_none(exposed, truth):
     """The shift is taken back first; exposures that differ by 2 % are no fault."""
     assert examine_all(exposed, truth) == []
-    assert faults(examine_all(exposed, truth, moved(5, 3), change("gain", gain=1.06))) == ["shift", "gain"] * len(truth)
+    assert faults(examine_all(exposed, truth, moved(5, 3), change("gain", gain=1.06))) == [
+        "shift",
+        "gain",
+    ] * len(truth)
 
 
 @pytest.mark.slow
 def test_a_slight_scale_is_one_of_all_views(filmed, truth):
     """0.4 %, which single views leave in doubt."""
     rng = np.random.default_rng(5)
-    sharp = {name: round_levels(frames + rng.normal(0, 2, frames.shape)) for name, frames in filmed.items()}
-    scales = [finding for finding in examine_all(sharp, truth, zoomed(1.004)) if finding.question == "focal length"]
+    sharp = {
+        name: round_levels(frames + rng.normal(0, 2, frames.shape))
+        for name, frames in filmed.items()
+    }
+    scales = [
+        finding
+        for finding in examine_all(sharp, truth, zoomed(1.004))
+        if finding.question == "focal length"
+    ]
 
     assert [finding.subject for finding in scales] == list(truth)
     assert scales[0].values["scale_x"] == pytest.approx(1.004, abs=0.0015)
 
 
 def test_a_psnr_that_no_fault_explains_is_no_all_clear(honest, truth):
-    """Over white, where the truth is black; a rendering that is nearer than the instant before is a good one."""
+    """Over white, where the truth is black; a rendering that is nearer than the instant before is a
+    good one.
+    """
     yy, xx = np.mgrid[: SIZE[1], : SIZE[0]]
     inside = ((np.hypot(xx - 96, yy - 72) < 40)[..., None],)
-    matted = {name: view_of(np.where(inside, honest["noisy"][name], 255), np.where(inside, truth[name], 0)) for name in truth}
+    matted = {
+        name: view_of(
+            np.where(inside, honest["noisy"][name], 255), np.where(inside, truth[name], 0)
+        )
+        for name in truth
+    }
     good = {name: view_of(np.clip(truth[name], 3, 250), truth[name]) for name in truth}
 
     assert explain_loss(matted).startswith("no known fault explains the PSNR of 0.86 dB")

@@ -57,10 +57,12 @@ def test_one_video_is_no_rig(tmp_path):
 
 
 MARKED = {
-    "cameras.xml": '<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="Chunk 1">\n</chunk></document>',
+    "cameras.xml": '<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="Chunk '
+    '1">\n</chunk></document>',
     "cameras.csv": "#name,x,y,alt,heading,pitch,roll\ncam00.jpg,0,0,0,0,0,0",
     "bundle.out": "# Bundle file v0.3\n4 0\n60 0 0",
-    "camera/0_00000.json": '{"orientation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "focal_length": 86.9}',
+    "camera/0_00000.json": '{"orientation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "focal_length": '
+    "86.9}",
     "camchain.yaml": "cam0:\n  rostopic: /cam0\ncam1:\n  T_cn_cnm1: []",
     "calibration.json": '{"CalibrationInformation": {"Cameras": []}}',
     "session.xcp": '<?xml version="1.0"?>\n<Cameras SOURCE="Nexus"></Cameras>',
@@ -126,25 +128,36 @@ def test_every_mark_is_tried_here():
 
 
 def test_cameras_above_and_far_below_are_named(tmp_path):
-    """Beside a sequence's own note, and from the folder of all of them; files that differ by a number are one."""
+    """Beside a sequence's own note, and from the folder of all of them; files that differ by a
+    number are one.
+    """
     take = tmp_path / "subject" / "takes" / "01"
     write_videos(take)
     (take / "info.json").write_text('{"intrinsics": "date01"}')
     (tmp_path / "subject" / "calibration").mkdir()
     for index in range(2):
-        (tmp_path / "subject" / "calibration" / f"{index}.txt").write_text("86.9 0 80\n0 86.9 60\n0 0 1")
+        (tmp_path / "subject" / "calibration" / f"{index}.txt").write_text(
+            "86.9 0 80\n0 86.9 60\n0 0 1"
+        )
     (finding,) = check_capture(take).of("opens")
     assert "info.json exists: cameras (an entry intrinsics)" in finding.measured
     assert "and more in ../../calibration/" in finding.measured
     (finding,) = check_capture(tmp_path).of("opens")
-    assert "subject/calibration/0.txt, subject/takes/01/info.json and 1 like these exist" in finding.measured
+    assert (
+        "subject/calibration/0.txt, subject/takes/01/info.json and 1 like these exist"
+        in finding.measured
+    )
 
 
 def test_other_files_are_noted(tmp_path):
-    """What holds no cameras that can be seen is no fault, and is not passed over in silence; our own report is."""
+    """What holds no cameras that can be seen is no fault, and is not passed over in silence; our
+    own report is.
+    """
     write_videos(tmp_path / "table")
     (tmp_path / "table" / "rig_calib_final.bin").write_bytes(b"?\0")
-    (tmp_path / "table" / "calibration.json").write_text('{"registered": 4, "mean_reprojection_error_px": 0.3}')
+    (tmp_path / "table" / "calibration.json").write_text(
+        '{"registered": 4, "mean_reprojection_error_px": 0.3}'
+    )
     check = check_capture(tmp_path / "table")
     assert check.is_usable
     assert check.of("frames")[0].measured.endswith("not used: rig_calib_final.bin")
@@ -155,14 +168,17 @@ NUMBERS = {
     "views/view.csv": "name,a,b\ncam00,0.8,0.6,0,-0.6,0.8,0,0,0,1\n",
     "params.npy": np.array([[0.96, 0.28, 0, 5], [-0.28, 0.96, 0, 6], [0, 0, 1, 7]]),
     "rig.pkl": {"cam00": [[86.88, 0, 79.5], [0, 86.88, 59.5], [0, 0, 1]]},
-    "P.txt": "114.54081 6.03454 26.69027 325.38 30.77331 98.04343 22.99723 352.26 0.48591 0.25852 0.8349 3\n",
+    "P.txt": "114.54081 6.03454 26.69027 325.38 30.77331 98.04343 22.99723 352.26 0.48591 0.25852 "
+    "0.8349 3\n",
     "trajectory.txt": "1 2 3 0.5 0.5 -0.5 0.5\n3 2 1 0.1 0.7 0.7 0.1\n",
 }
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_cameras_are_told_by_their_numbers(name, videos, tmp_path):
-    """Whatever a file is called: one that holds an intrinsic matrix or rotations ends with 1 and is named first."""
+    """Whatever a file is called: one that holds an intrinsic matrix or rotations ends with 1 and is
+    named first.
+    """
     shutil.copytree(videos, tmp_path / "table")
     file, content = tmp_path / "table" / name, NUMBERS[name]
     file.parent.mkdir(exist_ok=True)
@@ -177,10 +193,14 @@ def test_cameras_are_told_by_their_numbers(name, videos, tmp_path):
 
 
 def test_names_and_keypoints_are_no_cameras(videos, tmp_path):
-    """A telling name without such numbers, and many numbers without such a form, are no calibration."""
+    """A telling name without such numbers, and many numbers without such a form, are no
+    calibration.
+    """
     shutil.copytree(videos, tmp_path / "table")
     (tmp_path / "table" / "camera_notes.txt").write_text("the third one was moved at 10:45")
-    (tmp_path / "table" / "keypoints.csv").write_text("\n".join(f"{i},{i * 1.37 % 1},{i * 0.71 % 1}" for i in range(500)))
+    (tmp_path / "table" / "keypoints.csv").write_text(
+        "\n".join(f"{i},{i * 1.37 % 1},{i * 0.71 % 1}" for i in range(500))
+    )
     assert check_capture(tmp_path / "table").is_usable
 
 
@@ -189,7 +209,10 @@ def test_chapters_of_one_recording_are_no_cameras(tmp_path):
     write_videos(tmp_path / "table", ("GX010001", "GX020001", "GX010002", "GX020002"))
     check = check_capture(tmp_path / "table")
     assert not check.is_usable
-    assert "chapters of one recording: GX010001 and GX020001; GX010002 and GX020002" in check.of("opens")[0].measured
+    assert (
+        "chapters of one recording: GX010001 and GX020001; GX010002 and GX020002"
+        in check.of("opens")[0].measured
+    )
     with refused(CaptureError, "chapters of one recording", "concat"):
         open_capture(tmp_path / "table")
     with refused(CaptureError, "chapters of one recording", "concat"):

@@ -41,18 +41,27 @@ def be_killed(times: int, diary: Path, folder: Path) -> dict:
 
 def square_job(root: Path, number: int) -> Task:
     return Task(
-        name=f"square {number}", folder=root / f"s{number}", inputs={"number": number}, make=partial(write_square, number)
+        name=f"square {number}",
+        folder=root / f"s{number}",
+        inputs={"number": number},
+        make=partial(write_square, number),
     )
 
 
 def killed_job(root: Path, times: int) -> Task:
     diary = root.parent / "diary"
     diary.mkdir()
-    return Task("killed", root / "killed", inputs={"killed": times}, make=partial(be_killed, times, diary))
+    return Task(
+        "killed", root / "killed", inputs={"killed": times}, make=partial(be_killed, times, diary)
+    )
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    return {file.relative_to(root).as_posix(): file.read_bytes() for file in root.rglob("*") if file.is_file()}
+    return {
+        file.relative_to(root).as_posix(): file.read_bytes()
+        for file in root.rglob("*")
+        if file.is_file()
+    }
 
 
 @pytest.fixture
@@ -75,38 +84,58 @@ def hasty_dask(dask_or_skip):
 def test_every_engine_gives_the_same_files(engine, dask_or_skip, tmp_path):
     """Byte for byte what one process writes, and nothing twice."""
     for name, where in (("serial", 1), ("parallel", engine)):
-        assert run_tasks([square_job(tmp_path / name, number) for number in range(5)], where, "") == 5
+        assert (
+            run_tasks([square_job(tmp_path / name, number) for number in range(5)], where, "") == 5
+        )
 
     assert contents(tmp_path / "parallel") == contents(tmp_path / "serial")
-    assert run_tasks([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "") == 0
+    assert (
+        run_tasks([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "")
+        == 0
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
-    """A job whose process is killed is done again, the others are done once, and nothing half is left."""
+    """A job whose process is killed is done again, the others are done once, and nothing half is
+    left.
+    """
     root = tmp_path / "root"
 
-    attempt = attempt_tasks([killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, "")
+    attempt = attempt_tasks(
+        [killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, ""
+    )
 
     assert (attempt.n_done, attempt.failures) == (7, ())
     assert (root / "killed" / "square.txt").read_text() == "9"
-    assert sorted(item.name for item in root.iterdir()) == ["killed", *(f"s{number}" for number in range(6))]
+    assert sorted(item.name for item in root.iterdir()) == [
+        "killed",
+        *(f"s{number}" for number in range(6)),
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", DASK_AS_PROOF, ids=["processes", "dask"])
 def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path):
-    """It is named with a reason; those beside it, whose processes it took along, are done, and lost workers are replaced."""
+    """It is named with a reason; those beside it, whose processes it took along, are done, and lost
+    workers are replaced.
+    """
     root = tmp_path / "root"
 
-    attempt = attempt_tasks([killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, "")
+    attempt = attempt_tasks(
+        [killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, ""
+    )
 
     assert attempt.n_done == 3
     assert [failure.name for failure in attempt.failures] == ["killed"]
     assert "memory" in attempt.failures[0].message
     # What the last process to be killed leaves unfinished, the next command sweeps.
-    assert sorted(item.name for item in root.iterdir() if not item.name.startswith(".")) == ["s0", "s1", "s2"]
+    assert sorted(item.name for item in root.iterdir() if not item.name.startswith(".")) == [
+        "s0",
+        "s1",
+        "s2",
+    ]
 
 
 def note_process(number: int, folder: Path) -> dict:
@@ -117,14 +146,19 @@ def note_process(number: int, folder: Path) -> dict:
 
 def processes_of(root: Path, names: range) -> set[str]:
     """Run a job per name; the processes that did them."""
-    jobs = [Task(str(name), root / str(name), inputs={"name": name}, make=partial(note_process, name)) for name in names]
+    jobs = [
+        Task(str(name), root / str(name), inputs={"name": name}, make=partial(note_process, name))
+        for name in names
+    ]
     run_tasks(jobs, 2, "")
     return {(made.folder / "process.txt").read_text() for made in jobs}
 
 
 @pytest.mark.slow
 def test_stages_can_share_their_processes(tmp_path):
-    """Inside the block two stages have the same processes, before and after it others, and none outlives it."""
+    """Inside the block two stages have the same processes, before and after it others, and none
+    outlives it.
+    """
     before = processes_of(tmp_path, range(4))
     with kept_workers():
         first = processes_of(tmp_path, range(4, 8))
@@ -143,14 +177,18 @@ def test_stages_can_share_their_processes(tmp_path):
 def test_kept_processes_that_die_are_replaced(tmp_path):
     """A killed worker costs no result of its stage, and the next stage has workers too."""
     with kept_workers():
-        attempt = attempt_tasks([killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, "")
+        attempt = attempt_tasks(
+            [killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, ""
+        )
         assert (attempt.n_done, attempt.failures) == (2, ())
         assert len(processes_of(tmp_path, range(4))) == 2
 
 
 @pytest.mark.parametrize(("running", "fits"), [(2, True), (3, False)])
 def test_a_job_waits_for_memory(running, fits, monkeypatch):
-    """Jobs that need 300 MB, of which those that run hold 600 MB by now, and 300 MB are free: 3 fit, a fourth does not."""
+    """Jobs that need 300 MB, of which those that run hold 600 MB by now, and 300 MB are free: 3
+    fit, a fourth does not.
+    """
     monkeypatch.setattr(machine, "available_bytes", lambda: 300e6)
     monkeypatch.setattr(machine, "resident_bytes", lambda pids: (600e6, 300e6))
 
@@ -158,7 +196,9 @@ def test_a_job_waits_for_memory(running, fits, monkeypatch):
 
 
 def test_the_memory_of_a_container_is_its_own(tmp_path):
-    """Of 1000 MB 850 are taken, 150 by files that can go; without a container the machine counts; a dead process holds none."""
+    """Of 1000 MB 850 are taken, 150 by files that can go; without a container the machine counts; a
+    dead process holds none.
+    """
     files = {"memory.max": 1000e6, "memory.current": 850e6}
     for name, value in files.items():
         (tmp_path / name).write_text(f"{value:.0f}\n")
@@ -202,11 +242,14 @@ run_all(math.sqrt, [1.0, 2.0, 3.0], Engine(2, {engine!r}), "roots")
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", DASK_AS_PROOF, ids=["processes", "dask"])
 def test_workers_that_cannot_start_are_not_out_of_memory(engine, dask_or_skip, tmp_path):
-    """A script that starts processes at its top level learns why they died, and what to write instead."""
+    """A script that starts processes at its top level learns why they died, and what to write
+    instead.
+    """
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED.format(engine=engine.engine))
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
-    last = [line for line in ended.stderr.splitlines() if "cannot start" in line][-1]  # Python may warn of semaphores after it
+    # Python may warn of semaphores after it
+    last = [line for line in ended.stderr.splitlines() if "cannot start" in line][-1]
     assert ended.returncode == 1
     assert "memory" not in last
     assert '`if __name__ == "__main__":`' in last
@@ -224,8 +267,13 @@ def give_up(number: int, folder: Path) -> dict:
 
 @pytest.mark.slow
 def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
-    """Its status and what it printed last, not that it may need more memory; the other jobs are done."""
-    jobs = [Task(f"{n}", tmp_path / f"s{n}", inputs={"number": n}, make=partial(give_up, n)) for n in range(3)]
+    """Its status and what it printed last, not that it may need more memory; the other jobs are
+    done.
+    """
+    jobs = [
+        Task(f"{n}", tmp_path / f"s{n}", inputs={"number": n}, make=partial(give_up, n))
+        for n in range(3)
+    ]
     attempt = attempt_tasks(jobs, 2, "")
     (failure,) = attempt.failures
     assert attempt.n_done == 2
@@ -236,7 +284,9 @@ def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
 
 @pytest.mark.slow
 def test_peak_memory_is_of_the_block_alone():
-    """What a block holds for a moment counts, what was held before it does not, and a system that tells nothing gives nothing."""
+    """What a block holds for a moment counts, what was held before it does not, and a system that
+    tells nothing gives nothing.
+    """
     before = np.ones(40_000_000)  # 320 MB
     del before
     with machine.PeakMemory() as idle:
@@ -255,16 +305,24 @@ def test_peak_memory_is_of_the_block_alone():
 
 
 def test_the_command_line_names_no_script(monkeypatch):
-    """Where workers cannot start, `ggvs-eval` says what its caller can change; a script learns of its guard."""
+    """Where workers cannot start, `ggvs-eval` says what its caller can change; a script learns of
+    its guard.
+    """
     main = sys.modules["__main__"]
-    for file, remedy in (("/usr/bin/ggvs-eval", "fewer --jobs"), ("mine.py", "__name__"), (None, "__name__")):
+    for file, remedy in (
+        ("/usr/bin/ggvs-eval", "fewer --jobs"),
+        ("mine.py", "__name__"),
+        (None, "__name__"),
+    ):
         monkeypatch.setattr(main, "__file__", file, raising=False)
         assert remedy in start_remedy()
 
 
 @pytest.mark.parametrize("reason", [errno.EACCES, errno.EMFILE])
 def test_without_semaphores_one_process_does_all(reason, monkeypatch, tmp_path, capsys):
-    """Jobs are done in this process and a line says so; too many open files, which fewer processes mend, are an error."""
+    """Jobs are done in this process and a line says so; too many open files, which fewer processes
+    mend, are an error.
+    """
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError(reason, os.strerror(reason))

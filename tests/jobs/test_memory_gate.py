@@ -14,7 +14,9 @@ def test_a_job_fits_if_each_may_need_what_the_largest_has_taken(monkeypatch, run
     assert machine.has_room(running, []) is fits
 
 
-@pytest.mark.parametrize(("running", "has_room", "fits"), [(0, False, True), (1, False, False), (3, True, True)])
+@pytest.mark.parametrize(
+    ("running", "has_room", "fits"), [(0, False, True), (1, False, False), (3, True, True)]
+)
 def test_the_first_job_always_runs(monkeypatch, running, has_room, fits):
     """Without room for it there is none for any job; all others wait for room."""
     monkeypatch.setattr(engine, "has_room", lambda _running, _pids: has_room)

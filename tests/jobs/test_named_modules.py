@@ -1,4 +1,6 @@
-"""What the identity of code rests on: methods name the rooms that they are made in, and packages only define names."""
+"""What the identity of code rests on: methods name the rooms that they are made in, and packages
+only define names.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -37,11 +39,19 @@ def test_a_method_names_its_modules(label):
 
 
 def test_packages_do_nothing_when_they_are_imported():
-    """A package on the way to a module need not count, for its ``__init__.py`` defines names and no more."""
+    """A package on the way to a module need not count, for its ``__init__.py`` defines names and no
+    more.
+    """
     acting = []
     for name, file in modules().items():
         if file.name == "__init__.py":
-            statements = [node for node in parsed(file).body[1:] if "TYPE_CHECKING" not in ast.unparse(node)]
-            acting += [f"{name}: {ast.unparse(node)}" for node in statements if not isinstance(node, HARMLESS)]
+            statements = [
+                node for node in parsed(file).body[1:] if "TYPE_CHECKING" not in ast.unparse(node)
+            ]
+            acting += [
+                f"{name}: {ast.unparse(node)}"
+                for node in statements
+                if not isinstance(node, HARMLESS)
+            ]
 
     assert acting == []

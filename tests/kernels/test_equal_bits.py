@@ -1,7 +1,8 @@
-"""Equal inputs give equal bits, for any number of threads and on every instruction set that this processor has.
+"""Equal inputs give equal bits, for any number of threads and on every instruction set that this
+processor has.
 
-Kernels whose inputs take a network or a scene to make are held to the same beside their other tests: those of stereo, Gaussians,
-deformation fields and the blending network.
+Kernels whose inputs take a network or a scene to make are held to the same beside their other
+tests: those of stereo, Gaussians, deformation fields and the blending network.
 """
 
 from collections.abc import Callable
@@ -69,16 +70,28 @@ def warping(random: np.random.Generator) -> Computation:
     view = SourceView(source, now, depths[1], depths[1])
 
     def compute() -> tuple[np.ndarray, ...]:
-        bilinear, bicubic = (warp(target, depths[0], source, image, depths[1], TAU, bicubic=way) for way in (False, True))
+        bilinear, bicubic = (
+            warp(target, depths[0], source, image, depths[1], TAU, bicubic=way)
+            for way in (False, True)
+        )
         changed = warp_change(target, depths[0], view, before, TAU)
-        return bilinear.colour, bilinear.visibility, bicubic.colour, changed.colour, changed.visibility
+        return (
+            bilinear.colour,
+            bilinear.visibility,
+            bicubic.colour,
+            changed.colour,
+            changed.visibility,
+        )
 
     return compute
 
 
 def looking_up(random: np.random.Generator) -> Computation:
     target, views = random_camera(random, WIDTH, HEIGHT), weighted_views(random, 3, (121, 97))
-    depth, background = random_depth(random, target), random.random((HEIGHT, WIDTH, 3), dtype=np.float32)
+    depth, background = (
+        random_depth(random, target),
+        random.random((HEIGHT, WIDTH, 3), dtype=np.float32),
+    )
     return lambda: (look_up(target, depth, *views, background, TAU),)
 
 
@@ -101,7 +114,10 @@ def filtering(random: np.random.Generator) -> Computation:
     depth = random_depth(random, random_camera(random, WIDTH, HEIGHT))
     weight = random.random((HEIGHT, WIDTH), dtype=np.float32)
     now, before = random.integers(0, 256, (2, HEIGHT, WIDTH, 3)).astype(np.uint8)
-    return lambda: (difference_mask(now, before), filter_depth(depth, depth * np.float32(1.01), weight, 0.05))
+    return lambda: (
+        difference_mask(now, before),
+        filter_depth(depth, depth * np.float32(1.01), weight, 0.05),
+    )
 
 
 def network_inputs(random: np.random.Generator) -> Computation:
@@ -120,7 +136,17 @@ def similarity(random: np.random.Generator) -> Computation:
     return lambda: (ssim_per_channel(*pair),)
 
 
-COMPUTATIONS = (splatting, marching, warping, looking_up, mixing, filling, filtering, network_inputs, similarity)
+COMPUTATIONS = (
+    splatting,
+    marching,
+    warping,
+    looking_up,
+    mixing,
+    filling,
+    filtering,
+    network_inputs,
+    similarity,
+)
 
 
 @pytest.mark.usefixtures("kernel_settings")

@@ -1,4 +1,6 @@
-"""Memory of the kernels' results: kept for results of the same size, never shared by two arrays, never kept without bound."""
+"""Memory of the kernels' results: kept for results of the same size, never shared by two arrays,
+never kept without bound.
+"""
 
 import gc
 import threading
@@ -29,7 +31,9 @@ def mixed_of(depth: np.ndarray) -> np.ndarray:
 
 
 def test_memory_of_a_result_that_is_gone_serves_the_next():
-    """The next result of the same size lies where the last one lay; one of another size does not."""
+    """The next result of the same size lies where the last one lay; one of another size
+    does not.
+    """
     first = mixed(1.0)
     place, before = first.ctypes.data, _core.idle_bytes()
     del first
@@ -53,7 +57,9 @@ def test_results_that_live_keep_their_memory():
 
 @pytest.mark.slow
 def test_what_is_kept_is_bounded():
-    """No more stays than was in use at once, or half a gibibyte, and what nobody asked for again goes in the end."""
+    """No more stays than was in use at once, or half a gibibyte, and what nobody asked for again
+    goes in the end.
+    """
     depth = np.ones((SIDE, 120 * SIDE), np.float32)  # 120 MiB
     many = [mixed_of(depth) for _ in range(5)]
     places = {each.ctypes.data for each in many}

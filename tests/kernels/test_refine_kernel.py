@@ -1,4 +1,6 @@
-"""What the blending network does at full size: each compiled kernel against the torch code that defines it."""
+"""What the blending network does at full size: each compiled kernel against the torch code that
+defines it.
+"""
 
 from dataclasses import replace
 
@@ -75,11 +77,15 @@ def twin(network: BlendNetwork, maps: BlendMaps) -> np.ndarray:
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     with torch.inference_mode():
         outputs = read_outputs(network(torch.from_numpy(channels)[None]), start, config.views)
-        image = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
+        image = network.refine(
+            compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views
+        )
     return image[0].clamp(0, 1).permute(1, 2, 0).numpy()
 
 
-SHAPES = (  # the shipped one, sizes that the scale does not divide, several tiles, and sizes below a filter's reach
+# the shipped one, sizes that the scale does not divide, several tiles, and sizes below a filter's
+# reach
+SHAPES = (
     (BlendNetworkShape(6, "registered", 4, 4, 8), None, (301, 131), 4),
     (BlendNetworkShape(6, "registered", 4, 4, 8), None, (143, 65), 2),
     (BlendNetworkShape(3, "channels", 4, 2, 3), 5, (37, 70), 3),
@@ -93,51 +99,78 @@ SHAPES = (  # the shipped one, sizes that the scale does not divide, several til
 
 @pytest.mark.parametrize(("config", "width", "size", "views"), SHAPES)
 def test_the_blender_makes_the_twins_image(config, width, size, views):
-    """Every scale, guidance, number of views, features and width of a network, at any size: the torch code's image."""
-    maps, network = random_maps(np.random.default_rng(1), *size, views), random_network(config, width)
+    """Every scale, guidance, number of views, features and width of a network, at any size: the
+    torch code's image.
+    """
+    maps, network = (
+        random_maps(np.random.default_rng(1), *size, views),
+        random_network(config, width),
+    )
     expected = twin(network, maps)
     np.testing.assert_allclose(blend_by(network, maps).image, expected, atol=2e-5)
     if network.refiner is not None and min(size) > 2:
         silent = random_network(config, width)
         torch.nn.init.zeros_(silent.refiner.taps.weight)
         torch.nn.init.zeros_(silent.refiner.taps.bias)
-        assert np.abs(twin(silent, maps) - expected).max() > 0.01  # the refiner did something that could be wrong
+        # the refiner did something that could be wrong
+        assert np.abs(twin(silent, maps) - expected).max() > 0.01
 
 
-DEVICES = ("cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")))
+DEVICES = (
+    "cpu",
+    pytest.param(
+        "cuda",
+        marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here"),
+    ),
+)
 
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(("config", "width", "size", "views"), SHAPES)
 def test_torch_blends_on_a_device_as_the_kernels_do(config, width, size, views, device):
     """The path that a GPU takes gives the kernels' image, and the same shares of the views."""
-    maps, network = random_maps(np.random.default_rng(1), *size, views), random_network(config, width)
+    maps, network = (
+        random_maps(np.random.default_rng(1), *size, views),
+        random_network(config, width),
+    )
     expected = blend_by(network, maps)
     found = blend_on(network.to(device), maps, torch.device(device))
     assert found.image.flags.c_contiguous
     assert found.image.dtype == found.weights.dtype == np.float32
     np.testing.assert_allclose(found.image, expected.image, atol=2e-5 if device == "cpu" else 5e-4)
-    np.testing.assert_allclose(found.weights, expected.weights, atol=2e-5 if device == "cpu" else 5e-4)
+    np.testing.assert_allclose(
+        found.weights, expected.weights, atol=2e-5 if device == "cpu" else 5e-4
+    )
 
 
 @settings(deadline=None, max_examples=20)
-@given(seeds, st.integers(1, 60), st.integers(1, 40), st.integers(1, 5), st.sampled_from((1, 2, 4, 8)))
+@given(
+    seeds, st.integers(1, 60), st.integers(1, 40), st.integers(1, 5), st.sampled_from((1, 2, 4, 8))
+)
 def test_outputs_are_composed_as_the_twin_does(seed, width, height, views, scale):
-    """Any outputs of the network, decided ones too, give the twin's picture, spread of the views and number of them.
+    """Any outputs of the network, decided ones too, give the twin's picture, spread of the views
+    and number of them.
 
-    At scales whose shares are exact: at others, where one view alone counts and covers nothing, their rounding decides.
+    At scales whose shares are exact: at others, where one view alone counts and covers nothing,
+    their rounding decides.
     """
     random = np.random.default_rng(seed)
     maps, features = random_maps(random, width, height, views), 2
     # The twin knows the scale by the sizes, which tiny ones leave open.
     assume(-(-height // -(-height // scale)) == scale)
-    raw = torch.from_numpy(random.normal(0, 20, (1, views + BEYOND_VIEWS + features, -(-height // scale), -(-width // scale))))
+    raw = torch.from_numpy(
+        random.normal(
+            0, 20, (1, views + BEYOND_VIEWS + features, -(-height // scale), -(-width // scale))
+        )
+    )
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     outputs, tensors = read_outputs(raw, start, views), as_tensors(maps)
     small = small_outputs(raw, start["weights"], views)[0].contiguous().numpy()
     picture = compose_tensors(outputs, tensors["colours"], tensors["coverage"])
     shares = outputs.weights * tensors["coverage"]
-    sure = evidence(picture, tensors["colours"], shares, tensors["coverage"], tensors["fused_depth"])[0].numpy()
+    sure = evidence(
+        picture, tensors["colours"], shares, tensors["coverage"], tensors["fused_depth"]
+    )[0].numpy()
     background = np.ascontiguousarray(start["background"][0].permute(1, 2, 0).numpy())
     found = composed(maps, maps.unseen(), background, small, scale)
     np.testing.assert_allclose(found.picture, picture[0].numpy(), atol=1e-5)
@@ -149,11 +182,15 @@ def test_outputs_are_composed_as_the_twin_does(seed, width, height, views, scale
 @settings(deadline=None, max_examples=20)
 @given(seeds, st.integers(1, 60), st.integers(1, 40), st.integers(1, 5), st.integers(0, 3))
 def test_outputs_are_read_as_the_twin_does(seed, width, height, views, features):
-    """Weights, changes, features and shares of any outputs, decided ones too, with the same bits whatever the instruction set."""
+    """Weights, changes, features and shares of any outputs, decided ones too, with the same bits
+    whatever the instruction set.
+    """
     random = np.random.default_rng(seed)
     maps, most = random_maps(random, width, height, views), views + 2
     raw = random.normal(0, 20, (most + BEYOND_VIEWS + features, height, width)).astype(np.float32)
-    expected = small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(maps.weights)[None], most)[0].numpy()
+    expected = small_outputs(
+        torch.from_numpy(raw)[None], torch.from_numpy(maps.weights)[None], most
+    )[0].numpy()
     found = []
     for level in range(len(kernels.available_levels())):
         arrays = np.log(maps.weights), maps.coverage, maps.visibilities
@@ -169,8 +206,12 @@ def refined_picture(refiner: Refiner, size: tuple[int, int]) -> np.ndarray:
     random = np.random.default_rng(2)
     maps, scale = random_maps(random, *size, 1), 4
     shape = size[1], size[0]
-    picture = Composed(*(random.random(each, dtype=np.float32) for each in ((3, *shape), shape, shape)))
-    small = random.random((1 + BEYOND_VIEWS + 8, -(-shape[0] // scale), -(-shape[1] // scale)), dtype=np.float32)
+    picture = Composed(
+        *(random.random(each, dtype=np.float32) for each in ((3, *shape), shape, shape))
+    )
+    small = random.random(
+        (1 + BEYOND_VIEWS + 8, -(-shape[0] // scale), -(-shape[1] // scale)), dtype=np.float32
+    )
     return refined(refiner, picture, maps.fused_depth, small, scale, 1)
 
 
@@ -218,6 +259,11 @@ def test_a_network_that_must_not_see_depth_does_not():
     """Without TSDF guidance the fused depth changes nothing, with it it does."""
     random = np.random.default_rng(3)
     for guidance in ("none", "channels"):
-        network, maps = random_network(BlendNetworkShape(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
+        network, maps = (
+            random_network(BlendNetworkShape(2, guidance, 4, 1, 4)),
+            random_maps(random, 33, 21, 2),
+        )
         moved = replace(maps, fused_depth=np.roll(maps.fused_depth, 7, axis=1))
-        assert np.array_equal(blend_by(network, maps).image, blend_by(network, moved).image) == (guidance not in GUIDED)
+        assert np.array_equal(blend_by(network, maps).image, blend_by(network, moved).image) == (
+            guidance not in GUIDED
+        )

@@ -1,4 +1,6 @@
-"""Lines in epipolar plane images, their coherence and their slope: closed forms, laws, and what is refused."""
+"""Lines in epipolar plane images, their coherence and their slope: closed forms, laws, and what is
+refused.
+"""
 
 import math
 from dataclasses import replace
@@ -8,7 +10,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, find_lines, horizontal_path, slope_agreement
+from ggvs_eval.metrics.path.epi_metrics import (
+    HorizontalPath,
+    epi_coherence,
+    find_lines,
+    horizontal_path,
+    slope_agreement,
+)
 from helpers.epi_scenes import FOCAL, POSES, SPAN, WALL, exact, path, rendered
 from helpers.refusals import refused
 
@@ -23,31 +31,42 @@ def stripes(slope, poses=9, width=160, period_px=11.0):
 
 
 def epis_of(poses):
-    images, depths = np.stack([pose.image for pose in poses]), np.stack([pose.depth for pose in poses])
+    images, depths = (
+        np.stack([pose.image for pose in poses]),
+        np.stack([pose.depth for pose in poses]),
+    )
     return [(images[:, row], depths[:, row]) for row in range(images.shape[1])]
 
 
 def coherence_of(poses):
-    return epi_coherence((epi for epi, _ in epis_of(poses)), horizontal_path([pose.camera for pose in poses]))
+    return epi_coherence(
+        (epi for epi, _ in epis_of(poses)), horizontal_path([pose.camera for pose in poses])
+    )
 
 
 @pytest.mark.parametrize("slope", [-9.3, -2.5, -1.0, -0.37, 0.0, 0.5, 1.49, 6.8])
 def test_lines_have_the_slope_they_were_drawn_with(slope):
-    """Straight lines of any slope, far steeper than a pixel per pose too, are found within 0.01 px and have no change along."""
+    """Straight lines of any slope, far steeper than a pixel per pose too, are found within 0.01 px
+    and have no change along.
+    """
     lines = find_lines(stripes(slope), (slope - 1.3, slope + 1.7))
     assert np.abs(lines.slope_px - slope).max() < 0.01
     assert lines.along.sum() < 1e-4 * lines.across.sum()
 
 
 def test_the_slope_of_a_line_stays_in_the_range_asked_for():
-    """Where no allowed slope fits, the nearest one stands, and the change along it is (difference x gradient)^2."""
+    """Where no allowed slope fits, the nearest one stands, and the change along it is (difference x
+    gradient)^2.
+    """
     lines = find_lines(stripes(1.0), (1.3, 1.4))
     assert np.unique(lines.slope_px) == pytest.approx(1.3)
     assert lines.along.sum() == pytest.approx(0.3**2 * lines.across.sum(), rel=0.02)
 
 
 def test_coherence_and_line_texture_of_lines_with_a_known_change():
-    """Lines 0.3 px per pose beside the nearest allowed slope: along = 0.09 across gives (1 - 0.09) / (1 + 0.09)."""
+    """Lines 0.3 px per pose beside the nearest allowed slope: along = 0.09 across gives (1 - 0.09)
+    / (1 + 0.09).
+    """
     measured = epi_coherence([stripes(1.0)], HorizontalPath(5.2, near=3.0, far=3.2))
     across = find_lines(stripes(1.0), (1.0, 1.0)).across.mean()
     assert measured.coherence == pytest.approx(0.91 / 1.09, abs=0.003)
@@ -62,7 +81,9 @@ def test_energy_across_is_that_of_the_smoothed_derivative():
 
 
 def test_path_predicts_the_slope_of_a_projected_point():
-    """The slope at a depth is how far a point at that depth moves between two poses' images; unknown depth has none."""
+    """The slope at a depth is how far a point at that depth moves between two poses' images;
+    unknown depth has none.
+    """
     cameras = path()
     point = np.array([0.2, 0.1, 3.3])
     (u0, _), (u1, _) = (camera.project(point)[0] for camera in cameras[7:9])
@@ -75,10 +96,16 @@ def test_path_predicts_the_slope_of_a_projected_point():
 
 @pytest.mark.parametrize(
     ("name", "least", "agreeing"),
-    [("wall", 0.995, 0.99), pytest.param("slanted", 0.995, 0.98, marks=pytest.mark.slow), ("two planes", 0.96, 0.9)],
+    [
+        ("wall", 0.995, 0.99),
+        pytest.param("slanted", 0.995, 0.98, marks=pytest.mark.slow),
+        ("two planes", 0.96, 0.9),
+    ],
 )
 def test_exact_renderings_are_near_ideal(name, least, agreeing):
-    """Exact images have straight lines of the predicted slope; occlusion edges cost a little, the median nothing."""
+    """Exact images have straight lines of the predicted slope; occlusion edges cost a little, the
+    median nothing.
+    """
     poses = exact(name)
     slopes = slope_agreement(epis_of(poses), horizontal_path([pose.camera for pose in poses]))
     assert least < coherence_of(poses).coherence <= 1.0
@@ -88,12 +115,16 @@ def test_exact_renderings_are_near_ideal(name, least, agreeing):
 
 
 def test_wide_steps_are_as_coherent_as_narrow_ones():
-    """Lines that move 5 px per pose, where derivatives alias, are as straight as those that move 1 px."""
+    """Lines that move 5 px per pose, where derivatives alias, are as straight as those that move 1
+    px.
+    """
     assert coherence_of(rendered(WALL, path(7, 6 * 0.18))).coherence > 0.99
 
 
 def test_a_flash_is_no_line():
-    """Uniform brightness that changes from pose to pose scores -1, though its EPI is a perfect one-dimensional structure."""
+    """Uniform brightness that changes from pose to pose scores -1, though its EPI is a perfect
+    one-dimensional structure.
+    """
     levels = np.random.default_rng(0).uniform(0, 255, POSES)
     ramp = 0.5 * np.arange(128)
     epi = np.repeat((levels[:, None] * 0.7 + ramp)[..., None], 3, axis=2).astype(np.uint8)
@@ -101,13 +132,17 @@ def test_a_flash_is_no_line():
 
 
 def test_a_path_that_makes_no_epi_is_refused():
-    """Too few poses, a turn, a climb, a dolly, uneven steps and standing still are refused with what was found."""
+    """Too few poses, a turn, a climb, a dolly, uneven steps and standing still are refused with
+    what was found.
+    """
     cameras = path()
     with refused(MetricError, "5 poses", "has 4"):
         horizontal_path(cameras[:4])
     for change, message in (
         (
-            lambda pose, v: pose.__setitem__((slice(0, 3), slice(0, 3)), cv2.Rodrigues(np.array([0, 0.01 * v, 0]))[0]),
+            lambda pose, v: pose.__setitem__(
+                (slice(0, 3), slice(0, 3)), cv2.Rodrigues(np.array([0, 0.01 * v, 0]))[0]
+            ),
             "orientation",
         ),
         (lambda pose, v: pose.__setitem__((1, 3), 0.01 * v), "leave their row by up to"),
@@ -125,7 +160,9 @@ def test_a_path_that_makes_no_epi_is_refused():
 
 
 def test_measures_refuse_what_they_cannot_measure():
-    """No texture, no depth, shapes that do not fit, too few poses and too wide slopes are refused in one line, never NaN."""
+    """No texture, no depth, shapes that do not fit, too few poses and too wide slopes are refused
+    in one line, never NaN.
+    """
     geometry, grey = horizontal_path(path()), np.full((9, 128, 3), 90, np.uint8)
     depth = np.full((9, 128), 4.0, np.float32)
     for measure, message in (
@@ -142,7 +179,9 @@ def test_measures_refuse_what_they_cannot_measure():
 
 
 def test_slopes_are_compared_at_their_own_pixel():
-    """Depth outside the inner poses and columns has no vote, and a single known depth inside is compared right there."""
+    """Depth outside the inner poses and columns has no vote, and a single known depth inside is
+    compared right there.
+    """
     geometry = HorizontalPath(-4.0, near=2.0, far=8.0)
     epi, depth = stripes(-1.0), np.zeros((9, 160), np.float32)
     first_column = find_lines(epi, (-3.0, 1.0)).first_column
@@ -161,17 +200,23 @@ def test_without_texture_no_slope_agrees():
     """Where no line can be measured, flat or noise, the shares are 0 and there is no median."""
     noise = np.random.default_rng(0).integers(0, 256, (9, 128, 3)).astype(np.uint8)
     for epi in (np.full_like(noise, 90), noise):
-        slopes = slope_agreement([(epi, np.full((9, 128), 4.0, np.float32))], horizontal_path(path()))
+        slopes = slope_agreement(
+            [(epi, np.full((9, 128), 4.0, np.float32))], horizontal_path(path())
+        )
         assert slopes.agreeing_share < 0.05
         assert slopes.measured_share < 0.1
     assert (
-        slope_agreement([(np.full_like(noise, 90), np.ones((9, 128), np.float32))], horizontal_path(path())).median_error_px
+        slope_agreement(
+            [(np.full_like(noise, 90), np.ones((9, 128), np.float32))], horizontal_path(path())
+        ).median_error_px
         is None
     )
 
 
 def test_tolerance_and_texture_of_the_slope_are_options():
-    """A depth that is wrong by 5 % everywhere gives its slope error as the median, and agrees only within a wider tolerance."""
+    """A depth that is wrong by 5 % everywhere gives its slope error as the median, and agrees only
+    within a wider tolerance.
+    """
     poses = exact("wall")
     geometry = horizontal_path(path())
     wrong = [(epi, depth * np.float32(1.05)) for epi, depth in epis_of(poses)]
@@ -180,4 +225,7 @@ def test_tolerance_and_texture_of_the_slope_are_options():
     wide = slope_agreement(wrong, geometry, 2 * error_px)
     assert strict.median_error_px == pytest.approx(error_px, abs=0.005)
     assert strict.agreeing_share < 0.1 < 0.9 < wide.agreeing_share
-    assert slope_agreement(wrong, geometry, least_texture_255=15.0).measured_share < wide.measured_share
+    assert (
+        slope_agreement(wrong, geometry, least_texture_255=15.0).measured_share
+        < wide.measured_share
+    )

@@ -1,4 +1,6 @@
-"""Further full-reference metrics of frames: each against its library or its authors' program, its parts, and what is absent."""
+"""Further full-reference metrics of frames: each against its library or its authors' program, its
+parts, and what is absent.
+"""
 
 import sys
 
@@ -27,7 +29,11 @@ needs_dists = pytest.mark.skipif(
     not (fetch_dists.dists_weights_path().is_file() and weights_path("vgg").is_file()),
     reason=f"run `{fetch_dists.FETCH_COMMAND}`",
 )
-OF_PARTS = [metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.inside and metric.kind == "frame"]
+OF_PARTS = [
+    metric
+    for metric in METRICS.values()
+    if isinstance(metric, ViewMetric) and metric.inside and metric.kind == "frame"
+]
 
 
 def skip_without(name):
@@ -45,9 +51,9 @@ def skip_without(name):
 def test_dists_equals_its_authors_module():
     """0.1202973 and 0.2998802 for noise and blur.
 
-    Outside run, November 2026: ``DISTS_pytorch.DISTS`` of DISTS-pytorch 0.1 with its weights.pt, on torchvision's VGG16 with the
-    same convolutions, of the two frames below in [0, 1]. On images/r0.png and r1.png of its repository both give the 0.3347 that
-    the authors print.
+    Outside run, November 2026: ``DISTS_pytorch.DISTS`` of DISTS-pytorch 0.1 with its weights.pt, on
+    torchvision's VGG16 with the same convolutions, of the two frames below in [0, 1]. On
+    images/r0.png and r1.png of its repository both give the 0.3347 that the authors print.
     """
     rendered, truth = noisy_pair(48, 64)
 
@@ -57,10 +63,14 @@ def test_dists_equals_its_authors_module():
 
 
 def test_flip_equals_its_authors_program():
-    """0.089073 as ``flip -r t000.png -t r000.png`` of flip-evaluator 1.7 prints it, November 2026; floats and 8 bit agree."""
+    """0.089073 as ``flip -r t000.png -t r000.png`` of flip-evaluator 1.7 prints it, November 2026;
+    floats and 8 bit agree.
+    """
     pytest.importorskip("flip_evaluator")
     truth = np.ascontiguousarray(data.astronaut()[100:220, 150:310])
-    blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + np.random.default_rng(0).normal(0, 6, truth.shape)
+    blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + np.random.default_rng(0).normal(
+        0, 6, truth.shape
+    )
     rendered = round_levels(blurred)
 
     assert flip(rendered, truth) == pytest.approx(0.089073, abs=5e-7)
@@ -69,10 +79,14 @@ def test_flip_equals_its_authors_program():
 
 
 def test_dssim_is_scikit_images_under_either_range():
-    """Half of 1 - SSIM with data range 1, and with 2, which is what scikit-image takes for floats when nothing is said."""
+    """Half of 1 - SSIM with data range 1, and with 2, which is what scikit-image takes for floats
+    when nothing is said.
+    """
     rendered, truth = (image / 255 for image in noisy_pair())
     for data_range in (1, 2):
-        similarity = structural_similarity(rendered, truth, data_range=float(data_range), channel_axis=2)
+        similarity = structural_similarity(
+            rendered, truth, data_range=float(data_range), channel_axis=2
+        )
         assert dssim(rendered, truth, data_range) == pytest.approx((1 - similarity) / 2, abs=1e-6)
     assert dssim(rendered, truth, 2) < 0.75 * dssim(rendered, truth, 1)
 
@@ -87,13 +101,17 @@ def test_frames_too_small_for_five_scales():
 @pytest.mark.parametrize(
     "metric",
     [
-        pytest.param(metric.name, marks=pytest.mark.slow if metric.name in ("LPIPS", "DISTS") else ())
+        pytest.param(
+            metric.name, marks=pytest.mark.slow if metric.name in ("LPIPS", "DISTS") else ()
+        )
         for metric in OF_PARTS
         if metric.name != "LPIPS_cc"
     ],
 )
 def test_a_part_is_the_whole_where_it_is_everything_and_blind_to_the_rest(metric):
-    """With all pixels inside a part has the value of the whole; errors far outside it change nothing."""
+    """With all pixels inside a part has the value of the whole; errors far outside it change
+    nothing.
+    """
     skip_without(metric)
     if metric.startswith("MS_SSIM"):  # its coarsest windows see 176 pixels around what is inside
         shape, inside = (192, 420), np.s_[:, :100]
@@ -109,7 +127,9 @@ def test_a_part_is_the_whole_where_it_is_everything_and_blind_to_the_rest(metric
     captured = TruthFrame(truth)
 
     def part(frame, where):
-        return METRICS[metric].inside(FramePair(0, frame, captured, None, MetricOptions(), colour_map), where)
+        return METRICS[metric].inside(
+            FramePair(0, frame, captured, None, MetricOptions(), colour_map), where
+        )
 
     ((_, _, whole),) = score_view([(rendered, truth)], [metric], colour_map=colour_map).values
     assert part(rendered, np.ones(shape, bool)) == pytest.approx(whole, rel=2e-5)
@@ -127,9 +147,22 @@ def test_parts_are_scored_by_the_masks_of_the_paper():
     for t in range(3):
         truth[t][:, 190:] = truth[0][:, 190:]
     rendered = [round_levels(frame * 0.98 + 3) for frame in truth]
-    names = ["PSNR", "SSIM", "L1", "IV_PSNR", "MS_SSIM", "DSSIM1", "DSSIM2", "PSNR_cc", "SSIM_cc", "TCC"]
+    names = [
+        "PSNR",
+        "SSIM",
+        "L1",
+        "IV_PSNR",
+        "MS_SSIM",
+        "DSSIM1",
+        "DSSIM2",
+        "PSNR_cc",
+        "SSIM_cc",
+        "TCC",
+    ]
     parts = [f"{name}_{part}" for name in names for part in ("static", "moving")]
-    scores = score_view(zip(rendered, truth, strict=True), parts, MetricOptions(colour_scope="frame"))
+    scores = score_view(
+        zip(rendered, truth, strict=True), parts, MetricOptions(colour_scope="frame")
+    )
 
     assert scores.not_computed == {}
     frames = {name: [frame for each, frame, _ in scores.values if each == name] for name in parts}
@@ -140,7 +173,9 @@ def test_parts_are_scored_by_the_masks_of_the_paper():
 
 
 def test_what_is_absent_has_its_reason(monkeypatch, tmp_path):
-    """Without package or weights a metric is not computed, its parts neither, and the others are."""
+    """Without package or weights a metric is not computed, its parts neither, and the
+    others are.
+    """
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     load_dists_weights.cache_clear()
@@ -151,7 +186,9 @@ def test_what_is_absent_has_its_reason(monkeypatch, tmp_path):
     load_dists_weights.cache_clear()
 
     assert {name for name, _, _ in scores.values} == {"PSNR", "PSNR_disoccluded"}
-    assert scores.not_computed["FLIP"] == "FLIP needs flip-evaluator; `pip install 'ggvs-eval[flip]'`"
+    assert (
+        scores.not_computed["FLIP"] == "FLIP needs flip-evaluator; `pip install 'ggvs-eval[flip]'`"
+    )
     assert scores.not_computed["DISTS"].startswith("DISTS: no weights at")
     assert fetch_dists.FETCH_COMMAND in scores.not_computed["DISTS"]
     assert set(scores.not_computed) == {"FLIP", "DISTS", "FLIP_disoccluded", "DISTS_disoccluded"}

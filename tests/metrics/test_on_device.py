@@ -1,4 +1,6 @@
-"""Metrics on a device give what they give on the CPU: ``cpu:0`` is a device like any other to them, and the one that is here."""
+"""Metrics on a device give what they give on the CPU: ``cpu:0`` is a device like any other to them,
+and the one that is here.
+"""
 
 from typing import Any
 
@@ -23,9 +25,14 @@ COMPUTED = ("PSNR", "SSIM", "L1", "TCC", "STED", "STED_ssn", "SDT")
 def clip(height: int, width: int, frames: int = 4) -> list[tuple[np.ndarray, np.ndarray]]:
     """A photograph that moves, noisy as rendered and as captured."""
     random, photograph = np.random.default_rng(height), data.astronaut()
-    moving = [photograph[40 : 40 + height, 60 + t : 60 + t + width].astype(int) for t in range(frames)]
+    moving = [
+        photograph[40 : 40 + height, 60 + t : 60 + t + width].astype(int) for t in range(frames)
+    ]
     return [
-        tuple(np.clip(image + random.integers(-9, 10, image.shape), 0, 255).astype(np.uint8) for _ in range(2))
+        tuple(
+            np.clip(image + random.integers(-9, 10, image.shape), 0, 255).astype(np.uint8)
+            for _ in range(2)
+        )
         for image in moving
     ]
 
@@ -35,7 +42,8 @@ def uploaded(image: np.ndarray) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name", SSIM_VARIANTS)
-@pytest.mark.parametrize(("size", "tolerance"), [((11, 11), 1e-4), ((90, 110), 2e-6)])  # of one window, of a frame
+# of one window, of a frame
+@pytest.mark.parametrize(("size", "tolerance"), [((11, 11), 1e-4), ((90, 110), 2e-6)])
 def test_every_ssim_is_that_of_the_cpu(name, size, tolerance):
     """Each channel, as near as single precision on the CPU lets it be."""
     ((rendered, truth),) = clip(*size, frames=1)
@@ -47,7 +55,15 @@ def test_every_ssim_is_that_of_the_cpu(name, size, tolerance):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("gaussian-valid", {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 255}),
+        (
+            "gaussian-valid",
+            {
+                "gaussian_weights": True,
+                "sigma": 1.5,
+                "use_sample_covariance": False,
+                "data_range": 255,
+            },
+        ),
         ("uniform7", {"data_range": 255}),
         ("uniform7-range2", {"data_range": 2 * 255}),
     ],
@@ -64,12 +80,18 @@ def test_ssim_is_that_of_scikit_image(name, options):
 def test_bands_are_those_of_the_cpu(size):
     """Sizes that no halving divides, and the smallest."""
     ((image, _),) = clip(*size, frames=1)
-    np.testing.assert_allclose(device_band(uploaded(image)), spatial_band(luma(image)), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(
+        device_band(uploaded(image)), spatial_band(luma(image)), rtol=0, atol=1e-4
+    )
 
 
-def scores(device: str, frames: list[tuple[np.ndarray, np.ndarray]]) -> tuple[dict[Any, float], dict[str, str]]:
+def scores(
+    device: str, frames: list[tuple[np.ndarray, np.ndarray]]
+) -> tuple[dict[Any, float], dict[str, str]]:
     """Values by metric and frame, and the reasons for those that are missing."""
-    (scored,) = score_views([([rendered], truth) for rendered, truth in frames], COMPUTED, MetricOptions(device=device))
+    (scored,) = score_views(
+        [([rendered], truth) for rendered, truth in frames], COMPUTED, MetricOptions(device=device)
+    )
     return {(name, index): value for name, index, value in scored.values}, scored.not_computed
 
 
@@ -89,10 +111,18 @@ def test_too_small_or_too_few_is_told_as_on_the_cpu():
 
 
 def test_each_frame_is_uploaded_once(monkeypatch):
-    """SSIM, TCC and STED share the upload of a rendering, and all renderings that of the captured frame."""
+    """SSIM, TCC and STED share the upload of a rendering, and all renderings that of the captured
+    frame.
+    """
     uploads, upload = [], on_device.upload
-    monkeypatch.setattr(on_device, "upload", lambda image, device: uploads.append(id(image)) or upload(image, device))
-    frames = [([rendered, rendered[::-1].copy()], truth) for rendered, truth in clip(48, 48, frames=3)]
+    monkeypatch.setattr(
+        on_device,
+        "upload",
+        lambda image, device: uploads.append(id(image)) or upload(image, device),
+    )
+    frames = [
+        ([rendered, rendered[::-1].copy()], truth) for rendered, truth in clip(48, 48, frames=3)
+    ]
     score_views(frames, ("SSIM", "TCC", "STED"), MetricOptions(device=HERE))
     assert len(uploads) == len(set(uploads)) == 9
 
@@ -111,9 +141,14 @@ def test_values_of_a_device_are_told_from_those_of_the_cpu():
     moved = {
         metric.name
         for metric in metrics
-        if _metric_inputs(metric, MetricOptions(device="cuda")) != _metric_inputs(metric, MetricOptions())
+        if _metric_inputs(metric, MetricOptions(device="cuda"))
+        != _metric_inputs(metric, MetricOptions())
     }
-    networks = {f"{name}{part}" for name in ("LPIPS", "LPIPS_cc", "DISTS") for part in ("", "_static", "_moving", "_disoccluded")}
+    networks = {
+        f"{name}{part}"
+        for name in ("LPIPS", "LPIPS_cc", "DISTS")
+        for part in ("", "_static", "_moving", "_disoccluded")
+    }
     assert moved == networks | {"SSIM", "TCC", "STED", "STED_ssn", "CVVDP"}
     assert "device" not in _metric_inputs(METRICS["LPIPS"], MetricOptions())
 

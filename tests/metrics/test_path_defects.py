@@ -1,4 +1,6 @@
-"""Planted defects along a rendered camera path: each moves its own measures, and the others stay about where they were."""
+"""Planted defects along a rendered camera path: each moves its own measures, and the others stay
+about where they were.
+"""
 
 import weakref
 from dataclasses import replace
@@ -21,7 +23,9 @@ from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, so
 from helpers.refusals import refused
 
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))
-EVERY_SCENE = pytest.mark.parametrize("name", ["wall", pytest.param("slanted", marks=pytest.mark.slow), "two planes"])
+EVERY_SCENE = pytest.mark.parametrize(
+    "name", ["wall", pytest.param("slanted", marks=pytest.mark.slow), "two planes"]
+)
 
 
 def measured(poses):
@@ -45,7 +49,9 @@ def brighter(image):
 
 def moved(image):
     """Half a pixel to the right: texture that jumps, colour on average the same."""
-    return cv2.warpAffine(image, np.array([[1, 0, 0.5], [0, 1, 0]]), image.shape[1::-1], borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(
+        image, np.array([[1, 0, 0.5], [0, 1, 0]]), image.shape[1::-1], borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def wobble(share=0.03):
@@ -54,7 +60,9 @@ def wobble(share=0.03):
 
 @EVERY_SCENE
 def test_exact_path_is_near_ideal_in_every_measure(name):
-    """An exact rendering: straight lines of the right slope, errors of rounding, and switches like all other steps."""
+    """An exact rendering: straight lines of the right slope, errors of rounding, and switches like
+    all other steps.
+    """
     scores = score_path(exact(name))
     values = truth_of(name)
     assert scores.not_computed == {}
@@ -67,10 +75,17 @@ def test_exact_path_is_near_ideal_in_every_measure(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "apply"), [("wall", moved), pytest.param("slanted", brighter, marks=pytest.mark.slow), ("two planes", moved)]
+    ("name", "apply"),
+    [
+        ("wall", moved),
+        pytest.param("slanted", brighter, marks=pytest.mark.slow),
+        ("two planes", moved),
+    ],
 )
 def test_a_jump_at_the_switches_raises_the_switch_score(name, apply):
-    """A jump of colour or texture where the cameras switch multiplies the score; the same jump elsewhere does not raise it."""
+    """A jump of colour or texture where the cameras switch multiplies the score; the same jump
+    elsewhere does not raise it.
+    """
     truth = truth_of(name)
     at_switches = measured(changed(exact(name), jumping(SWITCHES, apply)))
     elsewhere = measured(changed(exact(name), jumping(np.roll(SWITCHES, 2), apply)))
@@ -82,22 +97,33 @@ def test_a_jump_at_the_switches_raises_the_switch_score(name, apply):
 
 @EVERY_SCENE
 def test_a_jump_at_the_switches_leaves_the_other_measures(name):
-    """Three jumps along 24 steps hardly touch the measures that look at all steps, and these ignore where the jumps are."""
+    """Three jumps along 24 steps hardly touch the measures that look at all steps, and these ignore
+    where the jumps are.
+    """
     truth = truth_of(name)
     at_switches, elsewhere = (
-        measured(changed(exact(name), jumping(steps, brighter))) for steps in (SWITCHES, np.roll(SWITCHES, 2))
+        measured(changed(exact(name), jumping(steps, brighter)))
+        for steps in (SWITCHES, np.roll(SWITCHES, 2))
     )
     assert at_switches["EPI_coherence"] > truth["EPI_coherence"] - 0.05
     assert at_switches["EPI_slope_error"] < truth["EPI_slope_error"] + 0.015
-    assert at_switches["reprojection"] == pytest.approx(truth["reprojection"] + 6 * 3 / 24, abs=0.15)
-    for measure, tolerance in (("EPI_coherence", 0.01), ("EPI_slope_error", 0.01), ("reprojection", 0.05)):
+    assert at_switches["reprojection"] == pytest.approx(
+        truth["reprojection"] + 6 * 3 / 24, abs=0.15
+    )
+    for measure, tolerance in (
+        ("EPI_coherence", 0.01),
+        ("EPI_slope_error", 0.01),
+        ("reprojection", 0.05),
+    ):
         assert at_switches[measure] == pytest.approx(elsewhere[measure], abs=tolerance)
 
 
 @pytest.mark.slow
 @EVERY_SCENE
 def test_wobbling_depth_bends_the_lines(name):
-    """Poses rendered with depths that wobble by up to 3 % lose coherence and slope agreement and gain reprojection error."""
+    """Poses rendered with depths that wobble by up to 3 % lose coherence and slope agreement and
+    gain reprojection error.
+    """
     truth, wobbling = truth_of(name), measured(rendered(SCENES[name], depth_factors=wobble()))
     assert wobbling["EPI_coherence"] < truth["EPI_coherence"] - 0.2
     assert wobbling["EPI_slope_error"] > 5 * truth["EPI_slope_error"]
@@ -110,10 +136,16 @@ def test_wobbling_depth_bends_the_lines(name):
 
 @EVERY_SCENE
 def test_blur_does_not_win(name):
-    """Blurring every image alike is view-consistent, and yet no rank is won by it: less of each image lies on lines."""
+    """Blurring every image alike is view-consistent, and yet no rank is won by it: less of each
+    image lies on lines.
+    """
     truth = truth_of(name)
     for sigma in (0.7, 3.0):
-        blurred = measured(changed(exact(name), lambda _, image, sigma=sigma: cv2.GaussianBlur(image, (0, 0), sigma)))
+        blurred = measured(
+            changed(
+                exact(name), lambda _, image, sigma=sigma: cv2.GaussianBlur(image, (0, 0), sigma)
+            )
+        )
         assert blurred["EPI_line_texture"] < 0.95 * truth["EPI_line_texture"]
         assert blurred["EPI_coherence"] < truth["EPI_coherence"] + 0.005
         assert blurred["EPI_slope_agreeing"] < truth["EPI_slope_agreeing"] + 0.001
@@ -123,7 +155,9 @@ def test_blur_does_not_win(name):
 
 @EVERY_SCENE
 def test_a_frozen_image_does_not_score_well(name):
-    """One image along the whole path: its slopes are wrong by the whole parallax, none agrees, and it does not fit depth."""
+    """One image along the whole path: its slopes are wrong by the whole parallax, none agrees, and
+    it does not fit depth.
+    """
     truth = truth_of(name)
     frozen = measured([replace(pose, image=exact(name)[12].image) for pose in exact(name)])
     assert frozen["EPI_slope_error"] == pytest.approx(1.1, abs=0.2)
@@ -133,7 +167,9 @@ def test_a_frozen_image_does_not_score_well(name):
 
 
 def test_what_cannot_be_measured_says_why():
-    """Without depth, sources, texture or a straight path the rest is measured, and each missing number has its reason."""
+    """Without depth, sources, texture or a straight path the rest is measured, and each missing
+    number has its reason.
+    """
     poses = exact("wall")
     bare = score_path([PathPose(pose.camera, pose.image) for pose in poses])
     assert {name for name, _, _ in bare.values} == {*COHERENCE, "path_sharpness"}
@@ -150,7 +186,11 @@ def test_what_cannot_be_measured_says_why():
     grey = score_path([replace(pose, image=np.full_like(pose.image, 128)) for pose in poses])
     assert set(grey.not_computed) == {*COHERENCE, "EPI_slope_error", *REPROJECTION}
     assert ("EPI_slope_agreeing", None, 0.0) in grey.values
-    assert all(np.isfinite(value) for scores in (bare, one_set, uneven, grey) for _, _, value in scores.values)
+    assert all(
+        np.isfinite(value)
+        for scores in (bare, one_set, uneven, grey)
+        for _, _, value in scores.values
+    )
 
 
 def test_images_that_do_not_fit_their_cameras_are_refused():
@@ -166,7 +206,9 @@ def test_images_that_do_not_fit_their_cameras_are_refused():
 
 
 def test_a_path_streams(monkeypatch):
-    """Two images at most are alive at a time, and only the rows asked for are kept of the others."""
+    """Two images at most are alive at a time, and only the rows asked for are kept of the
+    others.
+    """
     images: list[weakref.ref] = []
     most_alive = 0
 

@@ -1,4 +1,6 @@
-"""Metrics inside a mask: the plain metric where the mask is everything, blind to what lies outside, and no trap of blackening."""
+"""Metrics inside a mask: the plain metric where the mask is everything, blind to what lies outside,
+and no trap of blackening.
+"""
 
 import numpy as np
 import pytest
@@ -27,8 +29,12 @@ def test_full_mask_gives_the_plain_metric(masked):
     """With everything inside, 8-bit and float frames score what the plain metric gives."""
     rendered, truth = noisy_pair()
     everything = np.ones(truth.shape[:2], bool)
-    assert masked(rendered, truth, everything) == pytest.approx(MASKED[masked](rendered, truth), abs=1e-6)
-    assert masked(rendered / 255, truth / 255, everything) == pytest.approx(MASKED[masked](rendered, truth), abs=1e-6)
+    assert masked(rendered, truth, everything) == pytest.approx(
+        MASKED[masked](rendered, truth), abs=1e-6
+    )
+    assert masked(rendered / 255, truth / 255, everything) == pytest.approx(
+        MASKED[masked](rendered, truth), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("masked", MASKED)
@@ -50,7 +56,8 @@ def test_outside_has_no_influence_on_a_single_bit(seed, share):
     top, left = rng.integers(0, 60, 2)
     mask[top : top + 20, left : left + 25] = True
     other_rendered, other_truth = (
-        np.where(mask[..., None], image, rng.integers(0, 256, image.shape)).astype(np.uint8) for image in (rendered, truth)
+        np.where(mask[..., None], image, rng.integers(0, 256, image.shape)).astype(np.uint8)
+        for image in (rendered, truth)
     )
     for masked in MASKED:
         assert masked(other_rendered, other_truth, mask) == masked(rendered, truth, mask)
@@ -69,7 +76,9 @@ def test_values_that_are_not_finite_count_inside_only():
 
 
 def test_blackening_the_outside_is_a_trap_that_ours_does_not_fall_into():
-    """At 5 % coverage the mean over a blackened image says 0.99 where the region scores below 0.9."""
+    """At 5 % coverage the mean over a blackened image says 0.99 where the region scores
+    below 0.9.
+    """
     rendered, truth = noisy_pair(200, 240, strength=12)
     side = int(np.sqrt(0.05 * truth.shape[0] * truth.shape[1]))
     inside = np.s_[90 : 90 + side, 20 : 20 + side]
@@ -86,19 +95,27 @@ def test_each_variant_counts_the_windows_inside():
     inside = np.s_[13:60, 25:71]
     mask = square(truth.shape, *inside)
     crop = rendered[inside], truth[inside]
-    assert masked_ssim(rendered, truth, mask, "uniform7") == pytest.approx(ssim_variant(*crop, "uniform7"), abs=1e-6)
-    assert masked_ssim(rendered, truth, mask, "gaussian-zero") == pytest.approx(ssim(*crop), abs=1e-6)
+    assert masked_ssim(rendered, truth, mask, "uniform7") == pytest.approx(
+        ssim_variant(*crop, "uniform7"), abs=1e-6
+    )
+    assert masked_ssim(rendered, truth, mask, "gaussian-zero") == pytest.approx(
+        ssim(*crop), abs=1e-6
+    )
 
 
 def test_zero_padded_windows_over_the_border_are_not_inside():
     """Even with everything inside, a window that reaches into the padding does not count."""
     rendered, truth = noisy_pair()
     everything = np.ones(truth.shape[:2], bool)
-    assert masked_ssim(rendered, truth, everything, "gaussian-zero") == pytest.approx(ssim(rendered, truth), abs=1e-6)
+    assert masked_ssim(rendered, truth, everything, "gaussian-zero") == pytest.approx(
+        ssim(rendered, truth), abs=1e-6
+    )
 
 
 def test_regions_too_small_to_measure_are_refused():
-    """63 pixels, an empty mask, and a region into which no window fits have no score but a reason."""
+    """63 pixels, an empty mask, and a region into which no window fits have no score but a
+    reason.
+    """
     rendered, truth = noisy_pair()
     few = square(truth.shape, slice(0, 7), slice(0, 9))
     for masked in (masked_psnr, masked_l1):
@@ -108,14 +125,16 @@ def test_regions_too_small_to_measure_are_refused():
             masked(rendered, truth, np.zeros(truth.shape[:2], bool))
     with refused(MetricError, "11 x 11", "region"):
         masked_ssim(rendered, truth, square(truth.shape, slice(5, 15), slice(0, 110)))
-    ring = square(truth.shape, slice(20, 50), slice(20, 50)) & ~square(truth.shape, slice(30, 40), slice(30, 40))
+    ring = square(truth.shape, slice(20, 50), slice(20, 50)) & ~square(
+        truth.shape, slice(30, 40), slice(30, 40)
+    )
     with refused(MetricError, "11 x 11"):
         masked_ssim(rendered, truth, ring)
     with refused(MetricError, "11 x 11"):
         masked_ssim(rendered, truth, np.zeros(truth.shape[:2], bool))
-    assert masked_ssim(rendered, truth, square(truth.shape, slice(5, 16), slice(3, 14))) == pytest.approx(
-        ssim(rendered[5:16, 3:14], truth[5:16, 3:14]), abs=1e-4
-    )
+    assert masked_ssim(
+        rendered, truth, square(truth.shape, slice(5, 16), slice(3, 14))
+    ) == pytest.approx(ssim(rendered[5:16, 3:14], truth[5:16, 3:14]), abs=1e-4)
 
 
 @pytest.mark.parametrize("masked", MASKED)
@@ -131,7 +150,9 @@ def test_masks_that_do_not_fit_are_refused(masked):
 
 
 def test_moving_square_is_found_where_it_was_and_is():
-    """A square that moves 20 pixels is marked at both places, within the 12 pixels of the reduced mask, and nothing else is."""
+    """A square that moves 20 pixels is marked at both places, within the 12 pixels of the reduced
+    mask, and nothing else is.
+    """
     truth = np.full((160, 240, 3), 90, np.uint8)
     before, now = truth.copy(), truth.copy()
     before[60:100, 40:80], now[60:100, 60:100] = 200, 200
@@ -143,7 +164,9 @@ def test_moving_square_is_found_where_it_was_and_is():
 
 
 def test_still_frames_and_sensor_noise_do_not_move():
-    """A frame against itself and against another noisy recording of the same scene moves nowhere; a cut moves everywhere."""
+    """A frame against itself and against another noisy recording of the same scene moves nowhere; a
+    cut moves everywhere.
+    """
     rendered, truth = noisy_pair(strength=3)
     assert not moving_mask(truth, truth).any()
     assert not moving_mask(rendered, truth).any()

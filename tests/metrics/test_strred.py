@@ -1,4 +1,6 @@
-"""ST-RRED against scikit-video's recorded intermediate and final values, Netflix's port, a real clip, and its laws."""
+"""ST-RRED against scikit-video's recorded intermediate and final values, Netflix's port, a real
+clip, and its laws.
+"""
 
 import json
 
@@ -8,13 +10,27 @@ from skimage import data
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import round_levels
-from ggvs_eval.metrics.time.strred import PairDifference, block_entropies, luma, pool, spatial_band, strred
+from ggvs_eval.metrics.time.strred import (
+    PairDifference,
+    block_entropies,
+    luma,
+    pool,
+    spatial_band,
+    strred,
+)
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.refusals import refused
 
 REAL_CLIP = SHARED / "data/video_carphone"
 RECORDED = json.loads((DATA_FOLDER / "strred_oracles.json").read_text())
-CLIPS = ["carphone12", "synth_noise5", "synth_blur1p5", "synth_flicker5pct", "synth_oddsize_97x131", "const_ref_vs_noise"]
+CLIPS = [
+    "carphone12",
+    "synth_noise5",
+    "synth_blur1p5",
+    "synth_flicker5pct",
+    "synth_oddsize_97x131",
+    "const_ref_vs_noise",
+]
 
 
 def clip(name):
@@ -26,7 +42,9 @@ def clip(name):
 def moving_clip(frames=4, size=96):
     """A photograph that moves by two pixels per frame, (T, H, W, 3) uint8."""
     photograph = data.astronaut()
-    return np.stack([photograph[40 : 40 + size, 60 + 2 * t : 60 + 2 * t + size] for t in range(frames)])
+    return np.stack(
+        [photograph[40 : 40 + size, 60 + 2 * t : 60 + 2 * t + size] for t in range(frames)]
+    )
 
 
 def with_noise(frames, strength, seed=0):
@@ -47,12 +65,17 @@ def test_pyramid_taps_equal_recorded_ones():
 
 
 def test_bands_scales_and_entropies_equal_recorded_ones():
-    """The band is within 1e-3, the block scales within 1e-4 and the entropies within 1e-3 of the recorded ones."""
+    """The band is within 1e-3, the block scales within 1e-4 and the entropies within 1e-3 of the
+    recorded ones.
+    """
     recorded = np.load(DATA_FOLDER / "strred_intermediate.npz")
     first, second = spatial_band(recorded["frame1"]), spatial_band(recorded["frame2"])
     np.testing.assert_allclose(first, recorded["y1"], atol=1e-3)
     np.testing.assert_allclose(second, recorded["y2"], atol=1e-3)
-    for band, scale_name, entropy_name in ((first, "ss", "q"), (first - second, "ss_diff", "q_diff")):
+    for band, scale_name, entropy_name in (
+        (first, "ss", "q"),
+        (first - second, "ss_diff", "q_diff"),
+    ):
         entropy, scale = block_entropies(band)
         np.testing.assert_allclose(scale, recorded[scale_name], atol=1e-4)
         np.testing.assert_allclose(entropy, recorded[entropy_name], atol=1e-3)
@@ -60,15 +83,18 @@ def test_bands_scales_and_entropies_equal_recorded_ones():
 
 @pytest.mark.parametrize("name", CLIPS)
 def test_scores_equal_scikit_video(name):
-    """Both scores and every pair's four differences equal scikit-video's within its float32 accuracy."""
+    """Both scores and every pair's four differences equal scikit-video's within its float32
+    accuracy.
+    """
     scores, wanted = strred(*clip(name)), RECORDED[name]
     assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
     assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
     np.testing.assert_allclose(scores.pairs, wanted["array"], atol=2e-3)
 
 
-# Both scores of the first 4 carphone frames cut to odd and small sizes: scikit-video 1.1.11, numpy 2.4.6, np.int and its like put
-# back, float32. At 48 pixels 16 patches make a 9 x 9 covariance, almost singular, and float32 keeps three digits.
+# Both scores of the first 4 carphone frames cut to odd and small sizes: scikit-video 1.1.11, numpy
+# 2.4.6, np.int and its like put back, float32. At 48 pixels 16 patches make a 9 x 9 covariance,
+# almost singular, and float32 keeps three digits.
 CROPS = {
     (48, 48): (1421.95068, 1294.53345, 1e-3),
     (64, 64): (1986.78833, 1739.68127, 5e-4),
@@ -80,7 +106,9 @@ CROPS = {
 
 @pytest.mark.parametrize("size", CROPS)
 def test_small_and_odd_sizes_equal_scikit_video(size):
-    """Crops of the real clip, down to the smallest size that has a score, equal scikit-video's values on them."""
+    """Crops of the real clip, down to the smallest size that has a score, equal scikit-video's
+    values on them.
+    """
     rendered, truth = (frames[:4, : size[0], : size[1]] for frames in clip("carphone12"))
     scores, (wanted, wanted_single, tolerance) = strred(rendered, truth), CROPS[size]
     assert scores.strred == pytest.approx(wanted, rel=tolerance)
@@ -89,7 +117,9 @@ def test_small_and_odd_sizes_equal_scikit_video(size):
 
 @pytest.mark.parametrize("name", ["carphone_identical", "static_video", "const_vs_const"])
 def test_clips_without_a_difference_in_time_score_as_recorded(name):
-    """Equal, static and flat clips have the recorded parts, zero where nothing differs, and the score 0."""
+    """Equal, static and flat clips have the recorded parts, zero where nothing differs, and the
+    score 0.
+    """
     rendered, truth = (frames[:4] for frames in clip("carphone12"))
     clips = {
         "carphone_identical": (truth, truth),
@@ -101,9 +131,13 @@ def test_clips_without_a_difference_in_time_score_as_recorded(name):
     np.testing.assert_allclose(scores.pairs, RECORDED[name]["array"], atol=2e-3)
 
 
-@pytest.mark.skipif(not REAL_CLIP.is_dir(), reason="no ../shared/data/video_carphone beside this checkout")
+@pytest.mark.skipif(
+    not REAL_CLIP.is_dir(), reason="no ../shared/data/video_carphone beside this checkout"
+)
 def test_real_clip_scores_as_recorded():
-    """All 120 frames of the carphone pair, decoded from the real files, have the recorded scores and 60 pairs."""
+    """All 120 frames of the carphone pair, decoded from the real files, have the recorded scores
+    and 60 pairs.
+    """
     import av
 
     def grey(name):
@@ -118,7 +152,9 @@ def test_real_clip_scores_as_recorded():
 
 @pytest.mark.parametrize(("frames", "name"), [(2, "carphone_T2"), (5, "carphone_T5_odd")])
 def test_disjoint_pairs_leave_a_last_odd_frame_out(frames, name):
-    """The first 2 and the first 5 frames score as recorded; of 5 frames the last one has no partner."""
+    """The first 2 and the first 5 frames score as recorded; of 5 frames the last one has no
+    partner.
+    """
     rendered, truth = (frames_of_clip[:frames] for frames_of_clip in clip("carphone12"))
     scores = strred(rendered, truth)
     assert scores.strred == pytest.approx(RECORDED[name]["strred"], rel=5e-4)
@@ -126,8 +162,13 @@ def test_disjoint_pairs_leave_a_last_odd_frame_out(frames, name):
 
 
 def test_consecutive_pairs_equal_netflix_port():
-    """Every neighbouring pair with the later frame first gives the recorded per-pair values and their product of means."""
-    scores, wanted = strred(*clip("carphone12"), "consecutive"), RECORDED["carphone12"]["netflix_pairing"]
+    """Every neighbouring pair with the later frame first gives the recorded per-pair values and
+    their product of means.
+    """
+    scores, wanted = (
+        strred(*clip("carphone12"), "consecutive"),
+        RECORDED["carphone12"]["netflix_pairing"],
+    )
     np.testing.assert_allclose(scores.pairs[:, 0], wanted["per_frame_srred"], atol=2e-3)
     np.testing.assert_allclose(scores.pairs[:, 1], wanted["per_frame_trred"], atol=2e-3)
     assert scores.strred == pytest.approx(wanted["product_of_means"], rel=5e-4)
@@ -136,7 +177,9 @@ def test_consecutive_pairs_equal_netflix_port():
 
 
 def test_products_are_averaged_after_multiplying():
-    """Of two pairs, pooling by products gives the mean of both products, pooling by means the product of both means."""
+    """Of two pairs, pooling by products gives the mean of both products, pooling by means the
+    product of both means.
+    """
     pairs = [PairDifference(1.0, 10.0, 0.5, 4.0), PairDifference(3.0, 30.0, 1.5, 8.0)]
     means, products = pool(pairs), pool(pairs, "products")
     assert (means.strred, means.strred_ssn) == (2 * 20, 1 * 6)
@@ -154,11 +197,16 @@ def test_colour_frames_score_as_their_luma():
     """RGB clips are compared on luma."""
     truth = moving_clip()
     rendered = with_noise(truth, 5)
-    assert strred(rendered, truth).strred == strred([luma(f) for f in rendered], [luma(f) for f in truth]).strred
+    assert (
+        strred(rendered, truth).strred
+        == strred([luma(f) for f in rendered], [luma(f) for f in truth]).strred
+    )
 
 
 def test_content_of_low_rank_is_finite():
-    """Stripes, which vary along one direction only and leave the covariance singular, score finite numbers."""
+    """Stripes, which vary along one direction only and leave the covariance singular, score finite
+    numbers.
+    """
     stripes = np.tile((np.arange(128) // 8 % 2 * 200).astype(np.uint8)[:, None], (1, 128))
     truth = np.stack([stripes, np.roll(stripes, 3, axis=0)])
     scores = strred(with_noise(truth, 3), truth)
@@ -167,7 +215,9 @@ def test_content_of_low_rank_is_finite():
 
 
 def test_what_cannot_be_scored_is_refused():
-    """One frame, frames below 48 pixels, different lengths and different sizes are refused with their numbers."""
+    """One frame, frames below 48 pixels, different lengths and different sizes are refused with
+    their numbers.
+    """
     truth = moving_clip()
     with pytest.raises(MetricError, match="1 frame; needs 2"):
         strred(truth[:1], truth[:1])
@@ -180,7 +230,9 @@ def test_what_cannot_be_scored_is_refused():
 
 
 def test_values_that_are_not_finite_and_unknown_poolings_are_refused():
-    """NaN or infinity in one pixel, an unknown pooling and an empty pool are errors, never a NaN score."""
+    """NaN or infinity in one pixel, an unknown pooling and an empty pool are errors, never a NaN
+    score.
+    """
     truth = moving_clip().astype(np.float64)[..., 0]
     for value in (np.nan, np.inf):
         broken = truth.copy()

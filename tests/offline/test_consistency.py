@@ -1,4 +1,6 @@
-"""Depth held against other cameras' depth: who supports, contradicts and abstains, averaging, filling."""
+"""Depth held against other cameras' depth: who supports, contradicts and abstains, averaging,
+filling.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,11 @@ from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, plane_depth
 
 CAMERA = look_from(0, 0, "camera")
-LEFT, RIGHT, BELOW = look_from(-0.4, 0, "left"), look_from(0.4, 0, "right"), look_from(0, 0.4, "below")
+LEFT, RIGHT, BELOW = (
+    look_from(-0.4, 0, "left"),
+    look_from(0.4, 0, "right"),
+    look_from(0, 0.4, "below"),
+)
 OTHERS = (LEFT, RIGHT, BELOW)
 MIDDLE = np.s_[30:120, 40:160]  # seen by all of them
 BLOCK = np.s_[60:80, 90:120]
@@ -41,13 +47,17 @@ def choose(monkeypatch: pytest.MonkeyPatch, **rules: float) -> None:
 
 
 def step_depth(camera: Camera) -> np.ndarray:
-    """Exact depth of a strip |x| < 1 at z = 5 before a wall at z = 8, for cameras that look along z."""
+    """Exact depth of a strip |x| < 1 at z = 5 before a wall at z = 8, for cameras that look along
+    z.
+    """
     x = (camera.centre + NEAR_Z * camera.rays())[..., 0]
     return np.where(np.abs(x) < 1, NEAR_Z, FAR_Z)
 
 
 def test_the_truth_stays():
-    """Exact depth of a slanted plane stays, to 1e-5 and at the others' borders 5e-4, and what they see is as sure as before."""
+    """Exact depth of a slanted plane stays, to 1e-5 and at the others' borders 5e-4, and what they
+    see is as sure as before.
+    """
     truth = plane_depth(CAMERA)
     result = check_consistency(CAMERA, sure(truth), see_planes())
     assert np.abs(result.depth / truth - 1).max() < 5e-4
@@ -56,7 +66,8 @@ def test_the_truth_stays():
 
 
 def test_what_others_see_through_goes_and_is_filled(monkeypatch):
-    """A block in mid-air is dropped; where two others agree on what is behind, it is filled in, else it stays unknown.
+    """A block in mid-air is dropped; where two others agree on what is behind, it is filled in,
+    else it stays unknown.
 
     The maps that came in stay as they are.
     """
@@ -65,8 +76,13 @@ def test_what_others_see_through_goes_and_is_filled(monkeypatch):
     wrong[BLOCK] *= 0.7
     given, others = sure(wrong), see_planes()
     filled = check_consistency(CAMERA, given, others)
-    maps = [given, *(theirs for _, theirs in others)], [sure(wrong), *(theirs for _, theirs in see_planes())]
-    assert all(np.array_equal(after.depth, before.depth) for after, before in zip(*maps, strict=True))
+    maps = (
+        [given, *(theirs for _, theirs in others)],
+        [sure(wrong), *(theirs for _, theirs in see_planes())],
+    )
+    assert all(
+        np.array_equal(after.depth, before.depth) for after, before in zip(*maps, strict=True)
+    )
     choose(monkeypatch, FILL_SUPPORT=0)
     dropped = check_consistency(CAMERA, sure(wrong), see_planes())
     assert (dropped.depth[BLOCK] == 0).all()
@@ -99,9 +115,13 @@ def test_hidden_depth_stays_less_sure():
     assert result.confidence[inner] == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("others", [[], see_planes((look_from(60, 0, "elsewhere"),))], ids=["nobody", "elsewhere"])
+@pytest.mark.parametrize(
+    "others", [[], see_planes((look_from(60, 0, "elsewhere"),))], ids=["nobody", "elsewhere"]
+)
 def test_nobody_can_judge(others):
-    """Without others, or outside all their images, depth stays as it is with half its confidence."""
+    """Without others, or outside all their images, depth stays as it is with half its
+    confidence.
+    """
     depth_map = sure(plane_depth(CAMERA))
     result = check_consistency(CAMERA, depth_map, others)
     assert np.array_equal(result.depth, depth_map.depth)
@@ -109,7 +129,9 @@ def test_nobody_can_judge(others):
 
 
 def test_average_weighs_by_confidence():
-    """An error of 0.4 % beside three exact maps of equal confidence shrinks to a quarter, of a third of it to a tenth."""
+    """An error of 0.4 % beside three exact maps of equal confidence shrinks to a quarter, of a
+    third of it to a tenth.
+    """
     truth = plane_depth(CAMERA)
     for confidence, left in ((0.9, 0.25), (0.3, 0.1)):
         others = [(camera, sure(plane_depth(camera), 0.9)) for camera in OTHERS]
@@ -118,7 +140,9 @@ def test_average_weighs_by_confidence():
 
 
 def test_agreement_is_measured_in_pixels(monkeypatch):
-    """An error that shifts the point by 0.8 px in the others is agreement, one of 1.6 px towards the camera is not."""
+    """An error that shifts the point by 0.8 px in the others is agreement, one of 1.6 px towards
+    the camera is not.
+    """
     truth = plane_depth(CAMERA)
     disparity_px = CAMERA.focal_px * 0.4 / truth
     choose(monkeypatch, ERROR_PX=1.0, ERROR_SHARE=0.5, FILL_SUPPORT=0)
@@ -129,7 +153,9 @@ def test_agreement_is_measured_in_pixels(monkeypatch):
 
 
 def test_wide_baselines_are_measured_in_depth(monkeypatch):
-    """Where a percent of the depth is many pixels, depths that differ by no more than the share agree, and others do not."""
+    """Where a percent of the depth is many pixels, depths that differ by no more than the share
+    agree, and others do not.
+    """
     truth = plane_depth(CAMERA)
     for share, wide_share, kept in ((0.01, 0.02, True), (0.01, 0.0, False), (0.03, 0.02, False)):
         choose(monkeypatch, ERROR_PX=0.05, WIDE_SHARE=wide_share, FILL_SUPPORT=0)
@@ -138,7 +164,9 @@ def test_wide_baselines_are_measured_in_depth(monkeypatch):
 
 
 def test_narrow_baselines_are_measured_in_depth(monkeypatch):
-    """Where a pixel is a large share of the depth, depths that differ by more than the share do not agree."""
+    """Where a pixel is a large share of the depth, depths that differ by more than the share do not
+    agree.
+    """
     close = look_from(0.02, 0, "close")
     choose(monkeypatch, FILL_SUPPORT=0)
     for share, kept in ((0.03, True), (0.08, False)):
@@ -148,9 +176,13 @@ def test_narrow_baselines_are_measured_in_depth(monkeypatch):
 
 
 def test_majority(monkeypatch):
-    """One who contradicts does not outweigh one who supports, but two do; more support can be asked for."""
+    """One who contradicts does not outweigh one who supports, but two do; more support can be asked
+    for.
+    """
     truth = plane_depth(CAMERA)
-    right, behind = [[(camera, sure(share * plane_depth(camera))) for camera in OTHERS] for share in (1.0, 1.2)]
+    right, behind = [
+        [(camera, sure(share * plane_depth(camera))) for camera in OTHERS] for share in (1.0, 1.2)
+    ]
 
     def kept(others, min_support=1):
         choose(monkeypatch, FILL_SUPPORT=0, MIN_SUPPORT=min_support)
@@ -165,7 +197,9 @@ def test_majority(monkeypatch):
 
 
 def test_guesses_neither_stay_nor_vote():
-    """Depth that was filled with hardly any confidence is unknown, in the camera and in the others."""
+    """Depth that was filled with hardly any confidence is unknown, in the camera and in the
+    others.
+    """
     truth = plane_depth(CAMERA)
     guessed = check_consistency(CAMERA, sure(truth, 0.02), [])
     assert not guessed.depth.any()
@@ -176,7 +210,9 @@ def test_guesses_neither_stay_nor_vote():
 
 
 def test_edges_survive():
-    """A strip before a wall, exact in all views: 99.5 % stays, on its own surface, and nothing is invented between the two."""
+    """A strip before a wall, exact in all views: 99.5 % stays, on its own surface, and nothing is
+    invented between the two.
+    """
     truth = step_depth(CAMERA)
     others = [(camera, sure(step_depth(camera))) for camera in OTHERS]
     result = check_consistency(CAMERA, sure(truth), others)
@@ -185,7 +221,9 @@ def test_edges_survive():
 
 
 def test_filling_takes_what_is_in_front():
-    """A hole over a strip gets the strip's depth up to its edge, though two others see the wall behind it."""
+    """A hole over a strip gets the strip's depth up to its edge, though two others see the wall
+    behind it.
+    """
     truth = step_depth(CAMERA)
     holed = truth.copy()
     holed[50:100, 40:160] = 0
@@ -199,22 +237,29 @@ def test_filling_takes_what_is_in_front():
 
 
 def test_filling_takes_the_nearest_unless_seen_through():
-    """Of two depths that two others each agree on the nearer is filled in, and neither where a third sees through it."""
+    """Of two depths that two others each agree on the nearer is filled in, and neither where a
+    third sees through it.
+    """
     holed = plane_depth(CAMERA)
     holed[BLOCK] = 0
     pairs = [look_from(x, y, f"{x} {y}") for x, y in ((0.4, 0), (-0.4, 0), (0, 0.4), (0, -0.4))]
-    near, far = [[(camera, sure(share * plane_depth(camera))) for camera in pairs] for share in (0.8, 1.0)]
+    near, far = [
+        [(camera, sure(share * plane_depth(camera))) for camera in pairs] for share in (0.8, 1.0)
+    ]
     alone = check_consistency(CAMERA, sure(holed), near[:2]).depth[BLOCK]
     assert (np.abs(alone / holed.max() - 0.7) < 0.2)[alone > 0].all()
     assert (alone > 0).mean() > 0.9
     both = check_consistency(CAMERA, sure(holed), [*near[:2], *far[2:]]).depth[BLOCK]
     truth = plane_depth(CAMERA)[BLOCK]
-    assert np.abs(both / truth - 1)[both > 0].max() < 0.003  # the near one is seen through by the far two
+    # the near one is seen through by the far two
+    assert np.abs(both / truth - 1)[both > 0].max() < 0.003
     assert (both > 0).mean() > 0.9
 
 
 def test_average_moves_along_the_ray():
-    """Half an error remains beside one exact map of a camera turned by half a radian, which sees the wall at one depth."""
+    """Half an error remains beside one exact map of a camera turned by half a radian, which sees
+    the wall at one depth.
+    """
     turned = look_from(-2.0, 0, "turned", 0.5)
     truth = (6 - (CAMERA.centre - turned.centre) @ turned.axis) / (CAMERA.rays() @ turned.axis)
     other = turned, sure(np.full(truth.shape, 6.0))
@@ -227,21 +272,31 @@ def test_average_moves_along_the_ray():
 @settings(max_examples=4, deadline=None)
 @given(exponent=st.integers(-8, 8))
 def test_units_do_not_matter(exponent):
-    """In a world of other units all depths are scaled and nothing else changes, bit for bit for powers of two."""
+    """In a world of other units all depths are scaled and nothing else changes, bit for bit for
+    powers of two.
+    """
     scale = 2.0**exponent
     random = np.random.default_rng(1)
 
     def scaled(camera):
         pose = camera.world_to_camera.copy()
         pose[:3, 3] *= scale
-        return replace(camera, world_to_camera=pose, near=camera.near * scale, far=camera.far * scale)
+        return replace(
+            camera, world_to_camera=pose, near=camera.near * scale, far=camera.far * scale
+        )
 
-    maps = [plane_depth(camera) * random.normal(1, 0.03, (camera.height, camera.width)) for camera in (CAMERA, *OTHERS)]
+    maps = [
+        plane_depth(camera) * random.normal(1, 0.03, (camera.height, camera.width))
+        for camera in (CAMERA, *OTHERS)
+    ]
     plain, other = (
         check_consistency(
             change(CAMERA),
             sure(maps[0] * factor),
-            [(change(camera), sure(depth * factor)) for camera, depth in zip(OTHERS, maps[1:], strict=True)],
+            [
+                (change(camera), sure(depth * factor))
+                for camera, depth in zip(OTHERS, maps[1:], strict=True)
+            ],
         )
         for factor, change in ((1.0, lambda camera: camera), (scale, scaled))
     )
@@ -266,17 +321,26 @@ def on_an_arc(degrees: float, name: str) -> tuple[Camera, np.ndarray]:
     pose = np.eye(4)
     pose[:3, :3] = np.stack([np.cross([0.0, 1.0, 0.0], forward), [0.0, 1.0, 0.0], forward])
     pose[:3, 3] = -pose[:3, :3] @ centre
-    camera = Camera(name, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), pose, *size, 1.0, 12.0)
+    camera = Camera(
+        name, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), pose, *size, 1.0, 12.0
+    )
     rays = camera.rays()
     along, square = rays @ centre, (rays**2).sum(axis=-1)
     ball, room = (along**2 - square * (9 - radius**2) for radius in (1.2, 6.0))
-    return camera, np.where(ball > 0, -along - np.sqrt(np.maximum(ball, 0)), -along + np.sqrt(room)) / square
+    return camera, np.where(
+        ball > 0, -along - np.sqrt(np.maximum(ball, 0)), -along + np.sqrt(room)
+    ) / square
 
 
 @pytest.mark.parametrize("degrees", [90, 100, 120])
 def test_views_across_do_not_move_depth(degrees):
-    """Two cameras that see one surface across each other: depth is as right as without averaging, and never negative."""
-    (camera, truth), (other, other_truth) = on_an_arc(-degrees / 2, "left"), on_an_arc(degrees / 2, "right")
+    """Two cameras that see one surface across each other: depth is as right as without averaging,
+    and never negative.
+    """
+    (camera, truth), (other, other_truth) = (
+        on_an_arc(-degrees / 2, "left"),
+        on_an_arc(degrees / 2, "right"),
+    )
     maps = []
     for number, exact in enumerate((truth, other_truth)):
         noise = cv2.GaussianBlur(np.random.default_rng(number).normal(size=exact.shape), (0, 0), 4)

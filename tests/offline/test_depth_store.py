@@ -21,7 +21,10 @@ OPTIONS = {"algorithm": "x 1", "partners": 1}
 
 def make_map(seed: int = 0, shape: tuple[int, int] = (7, 9)) -> DepthMap:
     random = np.random.default_rng(seed)
-    return DepthMap(random.uniform(0, 5, shape).astype(np.float32), random.uniform(0, 1, shape).astype(np.float32))
+    return DepthMap(
+        random.uniform(0, 5, shape).astype(np.float32),
+        random.uniform(0, 1, shape).astype(np.float32),
+    )
 
 
 @settings(deadline=None)
@@ -49,14 +52,18 @@ def test_what_is_there(tmp_path):
 
 CHANGES = {
     "camera pose": lambda: describe_depth(look_from(0.001, 0, "a"), [PARTNER], DIGESTS, OPTIONS),
-    "camera K": lambda: describe_depth(replace(CAMERA, K=CAMERA.K * [[1.001], [1], [1]]), [PARTNER], DIGESTS, OPTIONS),
+    "camera K": lambda: describe_depth(
+        replace(CAMERA, K=CAMERA.K * [[1.001], [1], [1]]), [PARTNER], DIGESTS, OPTIONS
+    ),
     "camera size": lambda: describe_depth(replace(CAMERA, width=100), [PARTNER], DIGESTS, OPTIONS),
     "near": lambda: describe_depth(replace(CAMERA, near=1.0), [PARTNER], DIGESTS, OPTIONS),
     "far": lambda: describe_depth(replace(CAMERA, far=100.0), [PARTNER], DIGESTS, OPTIONS),
     "camera frames": lambda: describe_depth(CAMERA, [PARTNER], DIGESTS | {"a": "9"}, OPTIONS),
     "partner frames": lambda: describe_depth(CAMERA, [PARTNER], DIGESTS | {"b": "9"}, OPTIONS),
     "partner pose": lambda: describe_depth(CAMERA, [look_from(1, 0.001, "b")], DIGESTS, OPTIONS),
-    "another partner": lambda: describe_depth(CAMERA, [PARTNER, look_from(2, 0, "c")], DIGESTS, OPTIONS),
+    "another partner": lambda: describe_depth(
+        CAMERA, [PARTNER, look_from(2, 0, "c")], DIGESTS, OPTIONS
+    ),
     "options": lambda: describe_depth(CAMERA, [PARTNER], DIGESTS, OPTIONS | {"partners": 2}),
     "algorithm": lambda: describe_depth(CAMERA, [PARTNER], DIGESTS, OPTIONS | {"algorithm": "x 2"}),
 }
@@ -66,7 +73,14 @@ CHANGES = {
 def test_every_input_changes_the_key(change):
     """The key changes with each thing the depth depends on, and only then."""
     original = DepthStore.key(describe_depth(CAMERA, [PARTNER], DIGESTS, OPTIONS))
-    assert DepthStore.key(describe_depth(look_from(0, 0, "a"), [look_from(1, 0, "b")], dict(DIGESTS), dict(OPTIONS))) == original
+    assert (
+        DepthStore.key(
+            describe_depth(
+                look_from(0, 0, "a"), [look_from(1, 0, "b")], dict(DIGESTS), dict(OPTIONS)
+            )
+        )
+        == original
+    )
     assert DepthStore.key(CHANGES[change]()) != original
 
 
@@ -123,7 +137,10 @@ def test_what_a_killed_process_was_writing_is_swept(tmp_path):
     store = DepthStore(tmp_path)
     key = store.write_spec({"camera": "a"})
     store.write(key, 1, make_map())
-    left = store.folder(key) / f".000002.npz.0a1b2c3d.{socket.gethostname().replace('.', '-')}.4194304000.tmp"
+    left = (
+        store.folder(key)
+        / f".000002.npz.0a1b2c3d.{socket.gethostname().replace('.', '-')}.4194304000.tmp"
+    )
     left.touch()
 
     store.write_spec({"camera": "a"})

@@ -1,4 +1,6 @@
-"""Depth over time: only what changes is computed again, keyframes make it restartable, the default forgets everything."""
+"""Depth over time: only what changes is computed again, keyframes make it restartable, the default
+forgets everything.
+"""
 
 import re
 
@@ -9,7 +11,12 @@ from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import (
+    FORMS,
+    KEYFRAME_EVERY,
+    MATCHERS,
+    find_matcher,
+)
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweep
@@ -24,7 +31,9 @@ REUSE = DepthOptions(matcher=SgbmMatcher(levels=2), keyframe_every=4)
 
 
 def see(camera, card_x, noise_seed=None):
-    """Image and depth of a slanted wall with a card before it whose middle is at `card_x`; sensor noise of sigma 1.5 on top."""
+    """Image and depth of a slanted wall with a card before it whose middle is at `card_x`; sensor
+    noise of sigma 1.5 on top.
+    """
     wall = plane_depth(camera)
     points = camera.unproject(camera.pixel_centres(), np.full(wall.shape, CARD_DEPTH))
     card = (np.abs(points[..., 0] - card_x) < 0.35) & (np.abs(points[..., 1]) < 0.35)
@@ -36,7 +45,9 @@ def see(camera, card_x, noise_seed=None):
     texels = on_card[np.clip(rows, 0, 149).astype(int), np.clip(columns, 0, 199).astype(int)]
     image = np.where(card[..., None], texels, image)
     if noise_seed is not None:
-        noise = np.random.default_rng([noise_seed, len(camera.name) + ord(camera.name[-2])]).normal(0, 1.5, image.shape)
+        noise = np.random.default_rng([noise_seed, len(camera.name) + ord(camera.name[-2])]).normal(
+            0, 1.5, image.shape
+        )
         image = np.clip(np.rint(image + noise), 0, 255)
     return image.astype(np.uint8), depth
 
@@ -49,7 +60,9 @@ def step(stream, frame, card_x, noise_seed=None):
 
 @pytest.mark.slow
 def test_what_stands_still_keeps_its_depth():
-    """With sensor noise alone nothing is computed again: the depth of the keyframe comes back, bit for bit."""
+    """With sensor noise alone nothing is computed again: the depth of the keyframe comes back, bit
+    for bit.
+    """
     stream = DepthStream(CAMERA, ROW, REUSE)
     first, second = step(stream, 0, 0.0, noise_seed=1), step(stream, 1, 0.0, noise_seed=2)
     assert np.array_equal(first.depth, second.depth)
@@ -82,7 +95,9 @@ def test_keyframes_are_computed_from_nothing():
 
 @pytest.mark.slow
 def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
-    """Depth between keyframes that was lost is computed again from its keyframe: the same bits, and nothing else is touched."""
+    """Depth between keyframes that was lost is computed again from its keyframe: the same bits, and
+    nothing else is touched.
+    """
     capture = write_capture(tmp_path / "capture", n_frames=6)
     job = depth_job(capture, "cam00", ("cam01", "cam02"), REUSE)
     store, key = DepthStore(tmp_path / "store"), job.key
@@ -97,7 +112,9 @@ def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
 
 
 def test_the_choice_of_the_command_line():
-    """Names become matchers with all their parameters; a record reads back as the choice it was written from."""
+    """Names become matchers with all their parameters; a record reads back as the choice it was
+    written from.
+    """
     assert isinstance(DepthRunOptions().options().matcher, SgbmMatcher)
     assert isinstance(DepthRunOptions("sweep").options().matcher, PlaneSweep)
     reused = DepthRunOptions("sgbm", reuse_static=True)
@@ -106,10 +123,15 @@ def test_the_choice_of_the_command_line():
 
 
 def test_unknown_matchers_and_weights_are_refused(tmp_path):
-    """A misspelt matcher names its neighbour, absent weights their file, weights for another matcher the reason."""
+    """A misspelt matcher names its neighbour, absent weights their file, weights for another
+    matcher the reason.
+    """
     with pytest.raises(
         DepthError,
-        match=re.escape(f"wanted a matcher, got 'sgmb'; known are {', '.join((*MATCHERS, *FORMS))}; did you mean sgbm"),
+        match=re.escape(
+            f"wanted a matcher, got 'sgmb'; known are {', '.join((*MATCHERS, *FORMS))}; did you "
+            f"mean sgbm"
+        ),
     ):
         find_matcher("sgmb")
     with refused(WeightsError, "nowhere.pth"):
@@ -123,7 +145,9 @@ def test_unknown_matchers_and_weights_are_refused(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("left", [20, 560])
 def test_a_window_too_narrow_for_its_disparities_is_no_error(left):
-    """On a wide baseline what changes at a border is not rectified alone: the whole image is computed again, by new depth."""
+    """On a wide baseline what changes at a border is not rectified alone: the whole image is
+    computed again, by new depth.
+    """
     camera = look_from(0, 0, "camera").resized(600, 450)
     partners = [look_from(x, 0, f"x{x:+d}").resized(600, 450) for x in (-1, 1)]
     images = [see(each, 0.0)[0] for each in (camera, *partners)]

@@ -1,4 +1,6 @@
-"""Finish and check of depth on a device: what the CPU's own find, by operations that a GPU can record."""
+"""Finish and check of depth on a device: what the CPU's own find, by operations that a GPU can
+record.
+"""
 
 from dataclasses import replace
 
@@ -9,7 +11,14 @@ import torch
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth import device_maps
-from ggvs_eval.pipelines.offline.depth.camera_depth import FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    FLYING,
+    SMOOTH,
+    SMOOTH_RADIUS_PX,
+    DepthOptions,
+    check_depth,
+    finish,
+)
 from ggvs_eval.pipelines.offline.depth.device_maps import finish_maps
 from ggvs_eval.pipelines.offline.itermvs.estimator import projections_between
 from ggvs_eval.pipelines.offline.stereo import fusion
@@ -29,7 +38,9 @@ def alone():
 
 @pytest.fixture(scope="module")
 def scene():
-    """Four cameras, their noisy depth of a plane with a box before it, and confidence that is low in places."""
+    """Four cameras, their noisy depth of a plane with a box before it, and confidence that is low
+    in places.
+    """
     random = np.random.default_rng(0)
     places = ((0, 0.03, 0.01), (0.43, -0.05, 0.02), (-0.37, 0.07, 0.03), (0.11, 0.41, 0.02))
     cameras = [look_from(x, y, f"cam{index}", turn) for index, (x, y, turn) in enumerate(places)]
@@ -48,7 +59,10 @@ def scene():
 
 def stacked(maps):
     """Depth and confidence of maps, (K, H, W)."""
-    return [torch.from_numpy(np.stack(each)) for each in ([m.depth for m in maps], [m.confidence for m in maps])]
+    return [
+        torch.from_numpy(np.stack(each))
+        for each in ([m.depth for m in maps], [m.confidence for m in maps])
+    ]
 
 
 def numbers_of(cameras):
@@ -61,14 +75,19 @@ def test_steps_of_the_finish_are_the_cpus(scene):
     _, maps = scene
     depth, confidence = stacked(maps)
     kept = device_maps.drop_flying_pixels(depth, FLYING)
-    np.testing.assert_array_equal(kept, [fusion.drop_flying_pixels(each.depth, FLYING) for each in maps])
+    np.testing.assert_array_equal(
+        kept, [fusion.drop_flying_pixels(each.depth, FLYING) for each in maps]
+    )
     assert 0 < (kept == 0).float().mean() < 0.1
     smooth = device_maps.smooth_surfaces(kept, SMOOTH, SMOOTH_RADIUS_PX)
     expected = [fusion.smooth_surfaces(each.numpy(), SMOOTH, SMOOTH_RADIUS_PX) for each in kept]
     np.testing.assert_allclose(smooth, expected, rtol=1e-5)
     smooth[1, 30:35], smooth[2] = 0, 0  # whole rows, and a map of which nothing is known
     filled = device_maps.fill_background(smooth, confidence, 0.02)
-    by_fusion = [fusion.fill_background(*both, 0.02) for both in zip(smooth.numpy(), confidence.numpy(), strict=True)]
+    by_fusion = [
+        fusion.fill_background(*both, 0.02)
+        for both in zip(smooth.numpy(), confidence.numpy(), strict=True)
+    ]
     for there, here in zip(filled, zip(*by_fusion, strict=True), strict=True):
         np.testing.assert_array_equal(there, np.stack(here))
 
@@ -79,7 +98,12 @@ def test_a_stack_is_what_the_cpu_makes_of_each_map(scene, options):
     cameras, maps = scene
     finished = [finish(each, options) for each in maps]
     expected = [
-        check_depth(camera, own, [both for both in zip(cameras, finished, strict=True) if both[1] is not own], options)
+        check_depth(
+            camera,
+            own,
+            [both for both in zip(cameras, finished, strict=True) if both[1] is not own],
+            options,
+        )
         for camera, own in zip(cameras, finished, strict=True)
     ]
     depth, confidence = finish_maps(*stacked(maps), numbers_of(cameras), options=options)
@@ -87,7 +111,10 @@ def test_a_stack_is_what_the_cpu_makes_of_each_map(scene, options):
         assert np.mean(np.abs(depth[k].numpy() / each.depth - 1) < 1e-4) > 0.995
         assert np.mean(np.abs(confidence[k].numpy() - each.confidence) < 1e-4) > 0.995
     if options.consistency:
-        changed = [np.abs(each.depth / own.depth - 1) > 0.05 for each, own in zip(expected, finished, strict=True)]
+        changed = [
+            np.abs(each.depth / own.depth - 1) > 0.05
+            for each, own in zip(expected, finished, strict=True)
+        ]
         assert np.mean(changed) > 0.02
 
 
@@ -95,7 +122,9 @@ def test_a_map_alone_is_not_checked(scene):
     """Without another map there is nothing to hold it against."""
     cameras, maps = scene
     between = numbers_of(cameras[:1])
-    one, other = (finish_maps(*stacked(maps[:1]), between, options=each) for each in (CHECKED, UNCHECKED))
+    one, other = (
+        finish_maps(*stacked(maps[:1]), between, options=each) for each in (CHECKED, UNCHECKED)
+    )
     assert all(torch.equal(*each) for each in zip(one, other, strict=True))
 
 

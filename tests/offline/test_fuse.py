@@ -1,4 +1,6 @@
-"""An instant as point cloud and mesh: where the surfaces are, in their colours, whatever took part in vain."""
+"""An instant as point cloud and mesh: where the surfaces are, in their colours, whatever took part
+in vain.
+"""
 
 from dataclasses import replace
 
@@ -43,7 +45,10 @@ def confident(depth: np.ndarray, confidence: float = 0.9) -> DepthMap:
 def distance(points: np.ndarray, shift: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Distance from the nearest of the two surfaces, and whether that is the ball."""
     points = points - shift
-    wall, ball = np.abs(points[:, 2] - WALL_Z), np.abs(np.linalg.norm(points - BALL, axis=1) - RADIUS)
+    wall, ball = (
+        np.abs(points[:, 2] - WALL_Z),
+        np.abs(np.linalg.norm(points - BALL, axis=1) - RADIUS),
+    )
     return np.minimum(wall, ball), ball < wall
 
 
@@ -51,7 +56,9 @@ def fitted_centre(points: np.ndarray) -> np.ndarray:
     """Centre of the sphere through points of the ball, by least squares."""
     off, on_ball = distance(points)
     chosen = points[on_ball & (off < 0.2 * RADIUS)]
-    return np.linalg.lstsq(np.c_[2 * chosen, np.ones(len(chosen))], (chosen**2).sum(axis=1), rcond=None)[0][:3]
+    return np.linalg.lstsq(
+        np.c_[2 * chosen, np.ones(len(chosen))], (chosen**2).sum(axis=1), rcond=None
+    )[0][:3]
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +71,25 @@ def scene() -> tuple[list[Camera], list[np.ndarray], list[np.ndarray]]:
 @pytest.fixture(scope="module")
 def fused(scene, tmp_path_factory):
     rig, images, depths = scene
-    return fuse_instant(rig, images, [confident(depth) for depth in depths], tmp_path_factory.mktemp("fused") / "a" / "b")
+    return fuse_instant(
+        rig,
+        images,
+        [confident(depth) for depth in depths],
+        tmp_path_factory.mktemp("fused") / "a" / "b",
+    )
 
 
 def test_points_lie_on_the_surfaces(fused):
-    """Trimesh reads the cloud back: as many points as were said, all within half a voxel of the wall or the ball."""
+    """Trimesh reads the cloud back: as many points as were said, all within half a voxel of the
+    wall or the ball.
+    """
     cloud = trimesh.load(fused.points)
     off, on_ball = distance(np.asarray(cloud.vertices))
     assert len(cloud.vertices) == fused.n_points > 2000
     assert off.max() < fused.voxel / 2
     assert 0.05 < on_ball.mean() < 0.5
-    assert np.abs(fitted_centre(np.asarray(cloud.vertices)) - BALL).max() < 0.005  # a third of a pixel
+    # a third of a pixel
+    assert np.abs(fitted_centre(np.asarray(cloud.vertices)) - BALL).max() < 0.005
     assert np.asarray(cloud.vertices)[:, 2].max() == pytest.approx(WALL_Z, abs=1e-3)
     assert np.asarray(cloud.vertices)[:, 2].min() == pytest.approx(BALL[2] - RADIUS, abs=0.02)
 
@@ -91,7 +106,10 @@ def test_points_have_the_colours_of_the_images(fused):
 def test_points_have_normals_towards_the_cameras(fused):
     """Normals are those of the wall and of the ball, and face the side they were seen from."""
     raw = trimesh.load(fused.points).metadata["_ply_raw"]["vertex"]["data"]
-    points, normals = (np.stack([raw[axis] for axis in names], axis=-1).reshape(-1, 3) for names in ("xyz", ("nx", "ny", "nz")))
+    points, normals = (
+        np.stack([raw[axis] for axis in names], axis=-1).reshape(-1, 3)
+        for names in ("xyz", ("nx", "ny", "nz"))
+    )
     _, on_ball = distance(points)
     truth = np.where(on_ball[:, None], (points - BALL) / RADIUS, [0, 0, -1.0])
     cosine = (normals * truth).sum(axis=1)
@@ -101,7 +119,9 @@ def test_points_have_normals_towards_the_cameras(fused):
 
 
 def test_mesh_is_the_surface(fused):
-    """Trimesh reads the mesh back: its vertices lie on the wall or the ball, and the ball's front is all there."""
+    """Trimesh reads the mesh back: its vertices lie on the wall or the ball, and the ball's front
+    is all there.
+    """
     mesh = trimesh.load(fused.mesh)
     off, on_ball = distance(np.asarray(mesh.vertices))
     assert (len(mesh.vertices), len(mesh.faces)) == (fused.n_vertices, fused.n_triangles)
@@ -109,15 +129,20 @@ def test_mesh_is_the_surface(fused):
     assert (off < fused.voxel).mean() > 0.98
     beside = np.abs(fitted_centre(np.asarray(mesh.vertices)) - BALL)
     assert beside[:2].max() < 0.005  # a third of a pixel
-    assert beside[2] < 0.25 * fused.voxel  # signed distances along rays are too long where they graze the ball
+    # signed distances along rays are too long where they graze the ball
+    assert beside[2] < 0.25 * fused.voxel
     towards = np.random.default_rng(0).normal(size=(300, 3)) * [0.4, 0.4, 0.1] - [0, 0, 1]
     front = BALL + RADIUS * towards / np.linalg.norm(towards, axis=1, keepdims=True)
-    gaps = np.linalg.norm(front[:, None] - np.asarray(mesh.vertices)[None, on_ball], axis=-1).min(axis=1)
+    gaps = np.linalg.norm(front[:, None] - np.asarray(mesh.vertices)[None, on_ball], axis=-1).min(
+        axis=1
+    )
     assert gaps.max() < 1.5 * fused.voxel
 
 
 def test_mesh_has_colours_and_faces_the_cameras(fused):
-    """Vertices have the colours of the images; triangles run counter-clockwise as seen from the cameras."""
+    """Vertices have the colours of the images; triangles run counter-clockwise as seen from the
+    cameras.
+    """
     mesh = trimesh.load(fused.mesh, process=False)
     off, on_ball = distance(np.asarray(mesh.vertices))
     colours, sure = mesh.visual.vertex_colors[:, :3].astype(int), off < 0.1 * fused.voxel
@@ -129,7 +154,9 @@ def test_mesh_has_colours_and_faces_the_cameras(fused):
 
 @pytest.mark.slow
 def test_far_from_the_origin(scene, tmp_path):
-    """A world whose origin is ten million units away gives the same surfaces; 32 bits alone would lose them."""
+    """A world whose origin is ten million units away gives the same surfaces; 32 bits alone would
+    lose them.
+    """
     rig, images, depths = scene
     shift = np.array([1e7, -2e7, 3e6])
     moved = []
@@ -137,7 +164,9 @@ def test_far_from_the_origin(scene, tmp_path):
         world_to_camera = camera.world_to_camera.copy()
         world_to_camera[:3, 3] -= camera.rotation @ shift
         moved.append(replace(camera, world_to_camera=world_to_camera))
-    fused = fuse_instant(moved, images, [confident(depth) for depth in depths], tmp_path, voxel=VOXEL)
+    fused = fuse_instant(
+        moved, images, [confident(depth) for depth in depths], tmp_path, voxel=VOXEL
+    )
     assert np.float32(shift[1]) + np.float32(VOXEL) == np.float32(shift[1])
     for path in (fused.points, fused.mesh):
         off, _ = distance(np.asarray(trimesh.load(path).vertices), shift)
@@ -145,7 +174,9 @@ def test_far_from_the_origin(scene, tmp_path):
 
 
 def test_untrusted_pixels_take_no_part(scene, fused, tmp_path):
-    """Nonsense that nobody is confident of, and pixels without depth, change nothing but the number of points."""
+    """Nonsense that nobody is confident of, and pixels without depth, change nothing but the number
+    of points.
+    """
     rig, images, depths = scene
     random, maps = np.random.default_rng(1), []
     for depth in depths:
@@ -174,7 +205,9 @@ def test_debris_is_left_out(scene, tmp_path):
 
 
 def test_what_cannot_be_fused(scene, tmp_path):
-    """No trusted pixel, sizes that do not fit, and voxels that make no sense are refused, and nothing is written."""
+    """No trusted pixel, sizes that do not fit, and voxels that make no sense are refused, and
+    nothing is written.
+    """
     rig, images, depths = scene
     maps = [confident(depth, 0.1) for depth in depths]
     with refused(DepthError, "0.3", "4 depth maps", "depth page"):
@@ -189,7 +222,9 @@ def test_what_cannot_be_fused(scene, tmp_path):
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)), st.floats(0.5, 500))
 def test_normals_of_planes_are_exact(slope, scale):
-    """Any plane, at any scale of the world, gives its own normal at every pixel, the borders included."""
+    """Any plane, at any scale of the world, gives its own normal at every pixel, the borders
+    included.
+    """
     camera = look_from(0, 0, "camera")
     normal = np.array([*slope, -1.0]) / np.linalg.norm([*slope, 1.0])
     depth = -6.0 * scale / (camera.rays() @ normal)
@@ -198,7 +233,9 @@ def test_normals_of_planes_are_exact(slope, scale):
 
 
 def test_normals_do_not_mix_surfaces():
-    """Along a step both sides keep their normals; a pixel alone, and one without depth, have none."""
+    """Along a step both sides keep their normals; a pixel alone, and one without depth,
+    have none.
+    """
     camera = look_from(0, 0, "camera")
     depth = np.full((camera.height, camera.width), 6.0, np.float32)
     depth[:, 100:] = 8.0

@@ -1,4 +1,6 @@
-"""Live depth: one match of a pair serves both of its cameras, whoever is asked for together, and every instant stands alone."""
+"""Live depth: one match of a pair serves both of its cameras, whoever is asked for together, and
+every instant stands alone.
+"""
 
 import inspect
 import os
@@ -19,17 +21,35 @@ from ggvs_eval.pipelines.commands.runs import run
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
-from ggvs_eval.pipelines.offline.stereo.live import SAME_SURFACE, LiveEstimator, LiveMatcher, RigEstimator, enlarge
+from ggvs_eval.pipelines.offline.stereo.live import (
+    SAME_SURFACE,
+    LiveEstimator,
+    LiveMatcher,
+    RigEstimator,
+    enlarge,
+)
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from helpers.geometry_scenes import seeds
 from helpers.refusals import refused
-from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, write_capture
+from helpers.stereo_scenes import (
+    PLANE,
+    look_from,
+    paint,
+    plane_depth,
+    random_texture,
+    write_capture,
+)
 from helpers.twins.enlarging import alike_twin
 
 PLACES = {"cam00": (0, 0), "cam01": (0.4, 0), "cam02": (-0.4, 0), "cam03": (0, 0.4)}
 RIG = [look_from(*place, name, turn=0.03) for name, place in PLACES.items()]
-MATCHED = [("cam00", "cam01", "cam02", "cam03"), ("cam01", "cam00", "cam03"), ("cam02", "cam00"), ("cam03", "cam01", "cam00")]
+MATCHED = [
+    ("cam00", "cam01", "cam02", "cam03"),
+    ("cam01", "cam00", "cam03"),
+    ("cam02", "cam00"),
+    ("cam03", "cam01", "cam00"),
+]
 SMALLER = LiveMatcher(longest_px=150)  # three quarters of the images
 OPTIONS = DepthOptions(matcher=LiveMatcher(longest_px=150), consistency=False)
 CUT = np.array([-0.2, 0.1, 5.0])  # another plane
@@ -37,7 +57,10 @@ CUT = np.array([-0.2, 0.1, 5.0])  # another plane
 
 def see(plane=PLANE, cameras=RIG):
     """What every camera sees of a plane, by its name."""
-    return {camera.name: paint(camera, plane_depth(camera, plane), random_texture()) for camera in cameras}
+    return {
+        camera.name: paint(camera, plane_depth(camera, plane), random_texture())
+        for camera in cameras
+    }
 
 
 def errors(camera, depth_map, plane=PLANE):
@@ -56,7 +79,9 @@ def alone(names, images, cameras=RIG):
 
 def same(first: DepthMap, second: DepthMap) -> bool:
     """Equal to the last bit."""
-    return np.array_equal(first.depth, second.depth) and np.array_equal(first.confidence, second.confidence)
+    return np.array_equal(first.depth, second.depth) and np.array_equal(
+        first.confidence, second.confidence
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +92,9 @@ def together():
 
 @pytest.mark.parametrize("other", ["cam01", "cam02", "cam03"])
 def test_exchanged_roles_are_the_other_rectification(other):
-    """The turned canvas is that of rectifying the two in the other order, up to where its window begins."""
+    """The turned canvas is that of rectifying the two in the other order, up to where its window
+    begins.
+    """
     partner = next(camera for camera in RIG if camera.name == other)
     pair, expected = rectify(RIG[0], partner), rectify(partner, RIG[0])
     turned = exchange_roles(pair, RIG[0], partner)
@@ -80,7 +107,9 @@ def test_exchanged_roles_are_the_other_rectification(other):
 
 
 def test_the_other_side_is_the_mirror_image():
-    """The left image's disparity is that of `match`; the right one's is that of the mirrored pair, mirrored back."""
+    """The left image's disparity is that of `match`; the right one's is that of the mirrored pair,
+    mirrored back.
+    """
     pair, images, matcher = rectify(RIG[0], RIG[1]), see(), SgbmMatcher(levels=2)
     left, right = pair.warp_left(images["cam00"]), pair.warp_right(images["cam01"])
     of_left, of_right = matcher.match_sides(left, right, pair.d_min, pair.d_max, ("left", "right"))
@@ -90,24 +119,31 @@ def test_the_other_side_is_the_mirror_image():
 
 
 def test_depth_is_right_for_every_camera(together):
-    """Of a slanted plane, within 0.8 % for half of the pixels that are sure, of partners on either side, above and below."""
+    """Of a slanted plane, within 0.8 % for half of the pixels that are sure, of partners on either
+    side, above and below.
+    """
     for (name, *_), depth_map in zip(MATCHED, together, strict=True):
         camera = next(each for each in RIG if each.name == name)
         error = errors(camera, depth_map)
         assert depth_map.depth.shape == (camera.height, camera.width)
         assert np.median(error) < 0.008
         assert (error < 0.02).mean() > 0.92
-        assert error.max() < 0.5  # nothing lies far behind the farthest depth, not even next to what could not be matched
+        # nothing lies far behind the farthest depth, not even next to what could not be matched
+        assert error.max() < 0.5
 
 
 def test_depth_does_not_depend_on_who_else_is_asked_for(together):
-    """Alone, in another order, with one partner less: each map depends on its own camera and partners, to the last bit."""
+    """Alone, in another order, with one partner less: each map depends on its own camera and
+    partners, to the last bit.
+    """
     images = see()
     backwards = RigEstimator(RIG[::-1], MATCHED[::-1], SMALLER, 0.5).estimate(images)[::-1]
     fewer = RigEstimator(RIG, [MATCHED[0][:-1], *MATCHED], SMALLER, 0.5).estimate(images)
     assert all(same(*each) for each in zip(together, backwards, strict=True))
     assert all(same(*each) for each in zip(together, fewer[1:], strict=True))
-    assert all(same(each, alone(names, images)) for names, each in zip(MATCHED, together, strict=True))
+    assert all(
+        same(each, alone(names, images)) for names, each in zip(MATCHED, together, strict=True)
+    )
     assert same(fewer[0], alone(MATCHED[0][:-1], images))
     assert not same(fewer[0], together[0])
 
@@ -134,7 +170,9 @@ def test_missing_and_wrong_images_are_refused():
 @settings(deadline=None, max_examples=40)
 @given(seeds, st.integers(1, 40), st.integers(1, 40), st.integers(1, 60), st.integers(1, 60))
 def test_each_pixel_takes_the_depth_of_its_like(seed, small_width, small_height, width, height):
-    """Larger, smaller or skewed: of four small pixels the one of the likest colour, where surfaces are too far apart to mix."""
+    """Larger, smaller or skewed: of four small pixels the one of the likest colour, where surfaces
+    are too far apart to mix.
+    """
     random = np.random.default_rng(seed)
     small_image = random.integers(0, 256, (small_height, small_width, 3)).astype(np.uint8)
     image = random.integers(0, 256, (height, width, 3)).astype(np.uint8)
@@ -142,12 +180,18 @@ def test_each_pixel_takes_the_depth_of_its_like(seed, small_width, small_height,
     confidence = random.random(depth.shape, dtype=np.float32)
     enlarged = enlarge(DepthMap(depth, confidence), small_image, image)
     if image.shape != small_image.shape:
-        np.testing.assert_array_equal(enlarged.confidence, alike_twin(confidence, small_image, image))
-        np.testing.assert_allclose(enlarged.depth, alike_twin(depth, small_image, image), rtol=SAME_SURFACE)
+        np.testing.assert_array_equal(
+            enlarged.confidence, alike_twin(confidence, small_image, image)
+        )
+        np.testing.assert_allclose(
+            enlarged.depth, alike_twin(depth, small_image, image), rtol=SAME_SURFACE
+        )
 
 
 def test_depth_ends_where_the_image_does():
-    """An edge of depth between two small pixels goes to the image's edge, at odd sizes too; a slope stays a slope."""
+    """An edge of depth between two small pixels goes to the image's edge, at odd sizes too; a slope
+    stays a slope.
+    """
     image = np.zeros((31, 41, 3), np.uint8)
     image[:, 22:] = 200  # the small image's column 11 shows 22 and 23
     small_image = cv2.resize(image, (21, 16), interpolation=cv2.INTER_AREA)
@@ -158,7 +202,9 @@ def test_depth_ends_where_the_image_does():
     assert np.array_equal(enlarged.depth[:, 23:], np.full((31, 18), 4))
     slope = np.tile(np.linspace(2, 2.1, 21, dtype=np.float32), (16, 1))
     level = np.zeros_like(image)
-    smooth = enlarge(DepthMap(slope, np.ones_like(slope)), np.zeros((16, 21, 3), np.uint8), level).depth
+    smooth = enlarge(
+        DepthMap(slope, np.ones_like(slope)), np.zeros((16, 21, 3), np.uint8), level
+    ).depth
     assert np.diff(smooth[5, 2:-2]).min() > 0
     assert np.ptp(np.diff(smooth[5, 2:-2])) < 1e-4
 
@@ -171,7 +217,9 @@ def nearing_plane(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_store_is_filled_alike_however_it_is_done(nearing_plane, tmp_path, monkeypatch):
-    """All together, one by one and an instant alone: equal files, and what is there is not made again."""
+    """All together, one by one and an instant alone: equal files, and what is there is not made
+    again.
+    """
     jobs = plan_rig_depth(nearing_plane, OPTIONS)
     whole, single, parts = (DepthStore(tmp_path / name) for name in ("whole", "single", "parts"))
     prepare_depth(nearing_plane, jobs, (1, 2), whole, OPTIONS, 1)
@@ -192,7 +240,9 @@ def test_a_store_is_filled_alike_however_it_is_done(nearing_plane, tmp_path, mon
 
 
 def test_it_is_a_matcher_by_name():
-    """`live` is found by its name, has a key of its own, and finishes its maps as every matcher's are."""
+    """`live` is found by its name, has a key of its own, and finishes its maps as every matcher's
+    are.
+    """
     options = DepthRunOptions("live").options()
     assert isinstance(options.matcher, LiveMatcher)
     assert options.describe()["matcher_name"] == "sgbm-3way-shared"
@@ -204,11 +254,19 @@ def test_it_is_a_matcher_by_name():
 
 
 def test_play_and_view_take_it_by_default(nearing_plane, tmp_path):
-    """Both verbs of live synthesis, and no other; what a viewer reads is the plane at every camera."""
-    defaults = {verb: inspect.signature(verb).parameters["depth"].default for verb in (play, view, run)}
+    """Both verbs of live synthesis, and no other; what a viewer reads is the plane at every
+    camera.
+    """
+    defaults = {
+        verb: inspect.signature(verb).parameters["depth"].default for verb in (play, view, run)
+    }
     assert [default.matcher for default in defaults.values()] == ["live", "live", "sgbm"]
     playback = playback_of_capture(
-        nearing_plane, PlayOptions(k=2, frames=1), defaults[view].options(), tmp_path / "cache", anywhere=True
+        nearing_plane,
+        PlayOptions(k=2, frames=1),
+        defaults[view].options(),
+        tmp_path / "cache",
+        anywhere=True,
     )
     for camera in nearing_plane.cameras:
         depth_map = playback.store.read(playback.depth_keys[camera.name], 0)

@@ -1,4 +1,6 @@
-"""Depth from several partners: choice, check, consensus, filling, and a store filled by many workers."""
+"""Depth from several partners: choice, check, consensus, filling, and a store filled by many
+workers.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +12,22 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, is_known
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    FILLED_CONFIDENCE,
+    DepthEstimator,
+    DepthOptions,
+    finish,
+)
 from ggvs_eval.pipelines.offline.depth.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvs
-from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.fusion import (
+    drop_flying_pixels,
+    fill_background,
+    fuse,
+    smooth_surfaces,
+)
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.refusals import refused
@@ -42,11 +54,21 @@ def test_choice_does_not_depend_on_order():
     [
         (ROW, 2, {"row-1", "row+1"}),
         ([*ROW, look_from(0, 0.5, "below")], 3, {"row-1", "row+1", "below"}),
-        ([look_from(4.0, 0, "far away"), look_from(0.001, 0, "almost here"), look_from(-0.6, 0, "good")], 1, {"good"}),
+        (
+            [
+                look_from(4.0, 0, "far away"),
+                look_from(0.001, 0, "almost here"),
+                look_from(-0.6, 0, "good"),
+            ],
+            1,
+            {"good"},
+        ),
     ],
 )
 def test_partners_come_from_all_sides_neither_too_far_nor_too_near(candidates, count, wanted):
-    """Two from both sides of a row, the third from below it; neither huge disparities nor fractions of a pixel."""
+    """Two from both sides of a row, the third from below it; neither huge disparities nor fractions
+    of a pixel.
+    """
     assert {partner.name for partner in choose_partners(CAMERA, candidates, count)} == wanted
 
 
@@ -61,7 +83,9 @@ def test_a_pair_that_cannot_be_rectified_is_passed_over():
 
     def wide(x: float, name: str, turn: float) -> Camera:
         camera = look_from(x, 0, name, turn)
-        return replace(camera, K=camera.K * np.array([[0.2, 1, 1], [1, 0.2, 1], [1, 1, 1]]), near=1.0)
+        return replace(
+            camera, K=camera.K * np.array([[0.2, 1, 1], [1, 0.2, 1], [1, 1, 1]]), near=1.0
+        )
 
     camera, near, far = wide(0.001, "camera", 0.0), wide(0.4, "near", 0.1), wide(3.0, "far", 0.5)
     with pytest.raises(DepthError, match="too different directions for matching"):
@@ -84,11 +108,16 @@ def test_check_rejects_what_only_one_eye_sees():
     near = (columns >= 100) & (columns < 150)
     disparity = np.where(near, 24, 8)
     rows = np.arange(120)[:, None]
-    left = np.rint(255 * np.where(near, texture[rows + 500, columns], texture[rows, columns])).astype(np.uint8)
+    left = np.rint(
+        255 * np.where(near, texture[rows + 500, columns], texture[rows, columns])
+    ).astype(np.uint8)
     right = np.rint(255 * texture[rows, columns + 8]).astype(np.uint8)
     right[:, 100 - 24 : 150 - 24] = left[:, 100:150]
-    found, confidence = SgbmMatcher(levels=1).match(*(np.repeat(image[..., None], 3, -1) for image in (left, right)), 2, 40)
-    hidden, safe = slice(88, 97), np.r_[50:80, 106:144, 160:230]  # matches of 84..99 lie under the near strip
+    found, confidence = SgbmMatcher(levels=1).match(
+        *(np.repeat(image[..., None], 3, -1) for image in (left, right)), 2, 40
+    )
+    # matches of 84..99 lie under the near strip
+    hidden, safe = slice(88, 97), np.r_[50:80, 106:144, 160:230]
     assert (found[:, hidden] == 0).mean() > 0.8
     assert (found[:, safe] > 0).mean() > 0.95
     kept = found[:, safe] > 0
@@ -98,7 +127,9 @@ def test_check_rejects_what_only_one_eye_sees():
 
 
 def test_fusion_prefers_consensus():
-    """Two partners that agree outvote a third that is surer, and the result lies between the two."""
+    """Two partners that agree outvote a third that is surer, and the result lies between
+    the two.
+    """
     depths = np.array([5.0, 5.02, 8.0], np.float32).reshape(3, 1, 1)
     confidences = np.array([0.6, 0.6, 1.0], np.float32).reshape(3, 1, 1)
     depth, confidence = fuse(depths, confidences, np.full((3, 1, 1), 50, np.float32), 0.5)
@@ -116,8 +147,12 @@ def test_fusion_trusts_wide_pairs():
 
 @pytest.mark.parametrize(("gap", "mean"), [(0.28, 5.0 + 0.28 * 100 / 2600), (0.32, 5.0)])
 def test_estimates_agree_within_the_sum_of_their_errors(gap, mean):
-    """Half a pixel is 1 % of a depth of 50 px of disparity and 5 % of one of 10 px: both together 6 % of 5, which is 0.3."""
-    depths, disparities = (np.array(pair, np.float32).reshape(2, 1, 1) for pair in ((5.0, 5.0 + gap), (50.0, 10.0)))
+    """Half a pixel is 1 % of a depth of 50 px of disparity and 5 % of one of 10 px: both together 6
+    % of 5, which is 0.3.
+    """
+    depths, disparities = (
+        np.array(pair, np.float32).reshape(2, 1, 1) for pair in ((5.0, 5.0 + gap), (50.0, 10.0))
+    )
     depth, _ = fuse(depths, np.ones_like(depths), disparities, 0.5)
     assert depth.item() == pytest.approx(mean, abs=1e-5)
 
@@ -142,7 +177,9 @@ def test_flying_pixels_go():
 
 
 def test_smoothing_keeps_steps():
-    """Noise within a surface shrinks to less than half, a step of depth stays where it is, holes stay holes."""
+    """Noise within a surface shrinks to less than half, a step of depth stays where it is, holes
+    stay holes.
+    """
     random = np.random.default_rng(0)
     truth = np.where(np.arange(40) < 20, 4.0, 6.0) * np.ones((40, 1))
     noisy = (truth * random.normal(1, 0.005, truth.shape)).astype(np.float32)
@@ -154,14 +191,17 @@ def test_smoothing_keeps_steps():
     lone = np.ones((9, 11), np.float32)
     lone[4, 5] = np.e
     rows, columns = np.mgrid[-2:3, -2:3]
-    weights = np.exp(-(rows**2 + columns**2) / (2 * 1.5**2)) * (rows**2 + columns**2 <= 4)  # three quarters of the radius of 2
+    # three quarters of the radius of 2
+    weights = np.exp(-(rows**2 + columns**2) / (2 * 1.5**2)) * (rows**2 + columns**2 <= 4)
     assert np.log(smooth_surfaces(lone, 1000.0, 2)[4, 5:7]) == pytest.approx(
         [1 / weights.sum(), weights[2, 1] / weights.sum()], rel=1e-3
     )
 
 
 def test_filling_takes_the_background():
-    """A hole gets the far depth, an empty row that of its neighbours, with the confidence that is given; without one it stays."""
+    """A hole gets the far depth, an empty row that of its neighbours, with the confidence that is
+    given; without one it stays.
+    """
     depth = np.array([[2, 0, 0, 5], [0, 0, 0, 0], [2, 2, 2, 2]], np.float32)
     confidence = (depth > 0).astype(np.float32)
     filled, trust = fill_background(depth, confidence, 0.02)
@@ -171,7 +211,9 @@ def test_filling_takes_the_background():
 
 
 def test_estimate_is_complete_and_sure_of_it():
-    """Four partners give every pixel a depth, within 0.5 % in the median, and confidence in (0, 1]."""
+    """Four partners give every pixel a depth, within 0.5 % in the median, and confidence in
+    (0, 1].
+    """
     estimator = DepthEstimator(CAMERA, ROW, DepthOptions())
     result = estimator.estimate(see_plane(CAMERA), [see_plane(partner) for partner in ROW])
     assert result.depth.dtype == result.confidence.dtype == np.float32
@@ -209,7 +251,9 @@ def test_plan_leaves_the_target_out(plane_capture):
 
 
 def test_plan_for_a_virtual_camera(plane_capture):
-    """A camera that the capture does not have excludes nobody, and equal jobs of two targets are equal."""
+    """A camera that the capture does not have excludes nobody, and equal jobs of two targets are
+    equal.
+    """
     targets = [look_from(0.1, 0.05, "path0000"), look_from(0.12, 0.05, "path0001")]
     plan = plan_depth(plane_capture, targets, 2, DepthOptions(partners=2))
     assert plan["path0000"] == plan["path0001"]
@@ -228,7 +272,11 @@ def jobs(plane_capture) -> list[DepthJob]:
 
 def stored_files(store):
     """Content of every file of a store, by its path in it."""
-    return {path.relative_to(store.root): path.read_bytes() for path in sorted(store.root.rglob("*.*")) if path.is_file()}
+    return {
+        path.relative_to(store.root): path.read_bytes()
+        for path in sorted(store.root.rglob("*.*"))
+        if path.is_file()
+    }
 
 
 def test_prepare_resumes(plane_capture, jobs, tmp_path):
@@ -287,25 +335,36 @@ def test_options_change_the_key(plane_capture, tmp_path):
 
 @pytest.mark.slow
 def test_missing_frames_in_a_worker_are_reported(plane_capture, jobs, tmp_path):
-    """Frames that the capture does not have end the run with a message that says which there are."""
+    """Frames that the capture does not have end the run with a message that says which
+    there are.
+    """
     with refused(CaptureError, "2..4", "has 3"):
         prepare_depth(plane_capture, jobs, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
 def test_sources_of_a_view_are_held_against_each_other(plane_capture):
-    """Each source's depth is checked with that of the view's other sources, all found without the view itself."""
+    """Each source's depth is checked with that of the view's other sources, all found without the
+    view itself.
+    """
     jobs = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]
     for name, job in jobs.items():
         assert [other.camera_name for other in job.checked_with] == sorted(set(jobs) - {name})
         assert all("cam01" not in other.partner_names for other in (job, *job.checked_with))
-    unchecked = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, replace(OPTIONS, consistency=False))["cam01"]
+    unchecked = plan_depth(
+        plane_capture, [plane_capture.camera("cam01")], 3, replace(OPTIONS, consistency=False)
+    )["cam01"]
     assert unchecked == {name: job.unchecked for name, job in jobs.items()}
 
 
 @pytest.mark.slow
 def test_checked_depth_has_a_key_of_its_own_and_comes_back(plane_capture, tmp_path):
-    """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
-    store, job = DepthStore(tmp_path), plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
+    """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant
+    comes back with equal bits.
+    """
+    store, job = (
+        DepthStore(tmp_path),
+        plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"],
+    )
     prepare_depth(plane_capture, [job], range(1, 2), store, OPTIONS, workers=1)
     keys = [each.key for each in (job.unchecked, job)]
     truth = plane_depth(plane_capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
@@ -320,10 +379,14 @@ def test_checked_depth_has_a_key_of_its_own_and_comes_back(plane_capture, tmp_pa
 @pytest.mark.parametrize("odd", [-1.2, np.nan, np.inf])
 @pytest.mark.parametrize("guess", [None, 3.0])
 def test_what_is_no_depth_is_filled(odd, guess):
-    """A depth that is negative or not finite is a hole, filled by the background or the guess and as little sure as it."""
+    """A depth that is negative or not finite is a hole, filled by the background or the guess and
+    as little sure as it.
+    """
     depth = np.full((40, 50), 2.0, np.float32)
     depth[10:30, 10:40] = odd
-    raw = DepthMap(depth, np.ones_like(depth), None if guess is None else np.full_like(depth, guess))
+    raw = DepthMap(
+        depth, np.ones_like(depth), None if guess is None else np.full_like(depth, guess)
+    )
 
     result = finish(raw, DepthOptions(filler_share=0.1))
 
@@ -335,7 +398,9 @@ def test_what_is_no_depth_is_filled(odd, guess):
 
 
 def test_a_pair_that_is_refused_costs_that_pair():
-    """A partner at the camera's own place has no opinion; the others' stays, and alone it is an error, live no depth."""
+    """A partner at the camera's own place has no opinion; the others' stays, and alone it is an
+    error, live no depth.
+    """
     here, other = replace(CAMERA, name="here"), look_from(-0.6, 0, "other")
     images = {camera.name: see_plane(camera) for camera in (CAMERA, here, other)}
     for matcher in (SgbmMatcher(levels=1), LiveMatcher()):
@@ -354,7 +419,9 @@ def test_a_pair_that_is_refused_costs_that_pair():
 
 @pytest.mark.parametrize("levels", [1, 2, 3])
 def test_a_sliver_has_no_match(levels):
-    """Canvases of a few columns, or of fewer than the smallest disparity, are matched without an error."""
+    """Canvases of a few columns, or of fewer than the smallest disparity, are matched without an
+    error.
+    """
     for width, height, d_min in ((1, 1, 0), (3, 1, 2), (3, 8, 3), (2, 8, 5), (5, 4, 4)):
         image = np.zeros((height, width, 3), np.uint8)
         disparity, confidence = SgbmMatcher(levels=levels).match(image, image, d_min, d_min + 8)

@@ -1,4 +1,6 @@
-"""RAFT-Stereo as a matcher: what it starts from, its check, its sizes, its warm start - with networks whose answer is known."""
+"""RAFT-Stereo as a matcher: what it starts from, its check, its sizes, its warm start - with
+networks whose answer is known.
+"""
 
 from dataclasses import replace
 
@@ -28,21 +30,29 @@ from ggvs_eval.raft_config import COMPACT
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import look_from, random_texture, see_plane
 
-OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of one scene that nothing else uses
+# six of one scene that nothing else uses
+OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)
 
 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory):
     """Weights of a network that takes steps."""
     path = tmp_path_factory.mktemp("weights") / "moving.safetensors"
-    save_file(seeded_state({name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}), path)
+    save_file(
+        seeded_state(
+            {name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}
+        ),
+        path,
+    )
     return path
 
 
 @pytest.fixture(scope="module")
 def standing(tmp_path_factory):
     """Weights of a network that never takes a step: its flow is what it starts from."""
-    state = seeded_state({name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()})
+    state = seeded_state(
+        {name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}
+    )
     for name in state:
         if name.startswith(("update_block.flow_head.conv2", "update_block.mask.2")):
             state[name] = torch.zeros_like(state[name])
@@ -61,12 +71,16 @@ def shifted_pair(disparity, height=120, width=200):
     rows, columns = np.mgrid[:height, : width + disparity] * (1024 / 300)
     grey = random_texture()[rows.astype(int), columns.astype(int)]
     texture = np.repeat(quantise(cv2.GaussianBlur(grey, (0, 0), 1))[..., None], 3, axis=-1)
-    return np.ascontiguousarray(texture[:, disparity:][:, :width]), np.ascontiguousarray(texture[:, :width])
+    return np.ascontiguousarray(texture[:, disparity:][:, :width]), np.ascontiguousarray(
+        texture[:, :width]
+    )
 
 
 @pytest.mark.parametrize("largest_side_px", [pytest.param(1000, marks=pytest.mark.slow), 100])
 def test_a_known_shift_is_found(standing, largest_side_px):
-    """Disparity of a shifted picture is the shift, sizes that are no multiples of 32 included, at full and at half size."""
+    """Disparity of a shifted picture is the shift, sizes that are no multiples of 32 included, at
+    full and at half size.
+    """
     right, left = shifted_pair(14)
     found, confidence = matcher(standing, largest_side_px=largest_side_px).match(left, right, 2, 40)
     kept = found[:, 40:-8] > 0
@@ -109,7 +123,9 @@ def test_equal_inputs_give_equal_bits(moving):
 
 @pytest.mark.proof
 def test_the_shipped_network_improves_on_what_it_starts_from():
-    """On a scene that it was neither trained nor validated on, its error is at least a tenth below that of its start."""
+    """On a scene that it was neither trained nor validated on, its error is at least a tenth below
+    that of its start.
+    """
     shipped = find_matcher("raft")
     errors = []
     for seed in OTHER_PAIRS:
@@ -125,7 +141,9 @@ def test_the_shipped_network_improves_on_what_it_starts_from():
 
 @pytest.mark.slow
 def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
-    """It says what the network says wherever that lies within the search range, all of it as sure."""
+    """It says what the network says wherever that lies within the search range, all of it
+    as sure.
+    """
     right, left = shifted_pair(14)
     left[40:80, 60:100] = 255 - left[40:80, 60:100]  # the other image does not show this
     assert not matcher(standing).match(left, right, 2, 40)[0][45:75, 65:95].all()
@@ -138,10 +156,15 @@ def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
 
 @pytest.mark.parametrize("before", [None, pytest.param(64.0, marks=pytest.mark.slow)])
 def test_wide_pairs_are_moved_together(moving, before):
-    """What the smallest disparity leaves is matched as if it were a narrow pair, and columns without a match are told by 0."""
+    """What the smallest disparity leaves is matched as if it were a narrow pair, and columns
+    without a match are told by 0.
+    """
     network = matcher(moving, warm_iterations=5)
     right, left = shifted_pair(64)
-    previous = [None if before is None else np.full((120, 200 - cut), before - cut, np.float32) for cut in (0, 48)]
+    previous = [
+        None if before is None else np.full((120, 200 - cut), before - cut, np.float32)
+        for cut in (0, 48)
+    ]
     wide = network.disparity(left, right, 48, 80, previous[0])
     narrow = network.disparity(left[:, 48:], right[:, :-48], 0, 32, previous[1])
     assert np.array_equal(wide[:, 48:], narrow + 48)
@@ -150,13 +173,17 @@ def test_wide_pairs_are_moved_together(moving, before):
 
 @pytest.mark.slow
 def test_the_shipped_network_fills_a_rig(tmp_path):
-    """`sgbm+raft` takes the network's depth where the pairs do not confirm any; a weights file's name may hold a plus."""
+    """`sgbm+raft` takes the network's depth where the pairs do not confirm any; a weights file's
+    name may hold a plus.
+    """
     camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.2, 0.2)]
     options = replace(DepthRunOptions("sgbm+raft").options(), filler_share=0.0)
     assert options.filler == replace(find_matcher("raft"), dense=True)
     picture = see_plane(camera)
     picture[60:90, 60:100] = 255 - picture[60:90, 60:100]
-    found = DepthEstimator(camera, others, options).estimate(picture, [see_plane(each) for each in others])
+    found = DepthEstimator(camera, others, options).estimate(
+        picture, [see_plane(each) for each in others]
+    )
     guessed = found.confidence == np.float32(FILLED_CONFIDENCE)
     assert guessed[70:80, 70:90].any()
     assert np.array_equal(found.depth[guessed], found.guess[guessed])
@@ -177,11 +204,16 @@ def test_the_start_is_the_match_in_cells():
 
 
 def test_gaps_are_filled_from_the_farther_side():
-    """A rejected pixel takes the smaller of its row's nearest disparities, an empty row its column's; an empty map stays."""
+    """A rejected pixel takes the smaller of its row's nearest disparities, an empty row its
+    column's; an empty map stays.
+    """
     disparity = np.zeros((3, 5), np.float32)
     disparity[0] = [9, 0, 0, 4, 0]
     filled = fill_from_background(disparity)
     assert filled[0].tolist() == [9, 4, 4, 4, 4]
     assert filled[2].tolist() == [9, 4, 4, 4, 4]
     assert (fill_from_background(np.zeros((2, 2), np.float32)) == 0).all()
-    assert start_from_disparity(np.full((8, 8), 6, np.float32), 4).tolist() == [[-1.5, -1.5], [-1.5, -1.5]]
+    assert start_from_disparity(np.full((8, 8), 6, np.float32), 4).tolist() == [
+        [-1.5, -1.5],
+        [-1.5, -1.5],
+    ]

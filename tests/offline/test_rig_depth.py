@@ -1,11 +1,19 @@
-"""Depth of the sources of an instant at once: what each matcher finds one by one, and what is taken from which cameras."""
+"""Depth of the sources of an instant at once: what each matcher finds one by one, and what is taken
+from which cameras.
+"""
 
 import numpy as np
 import pytest
 
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    ERROR_PX,
+    DepthEstimator,
+    DepthOptions,
+    check_depth,
+    finish,
+)
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 from ggvs_eval.pipelines.offline.stereo.live import RigEstimator
 from helpers.itermvs_weights import write_checkpoint
@@ -17,8 +25,17 @@ NAMES = ["cam0", "cam1", "cam2"]
 @pytest.fixture(scope="module")
 def rig():
     """Five cameras, and what they see of a plane."""
-    places = ((0, 0.03, 0.01), (0.43, -0.05, 0.02), (-0.37, 0.07, 0.03), (0.11, 0.41, 0.02), (0.8, 0.1, 0.05))
-    cameras = [look_from(x, y, f"cam{index}", turn).resized(128, 96) for index, (x, y, turn) in enumerate(places)]
+    places = (
+        (0, 0.03, 0.01),
+        (0.43, -0.05, 0.02),
+        (-0.37, 0.07, 0.03),
+        (0.11, 0.41, 0.02),
+        (0.8, 0.1, 0.05),
+    )
+    cameras = [
+        look_from(x, y, f"cam{index}", turn).resized(128, 96)
+        for index, (x, y, turn) in enumerate(places)
+    ]
     return cameras, {camera.name: see_plane(camera) for camera in cameras}
 
 
@@ -31,14 +48,20 @@ def one_by_one(rig, options: DepthOptions, finder: RigDepth, maps=None):
             partners = finder.partners(name)
             estimator = DepthEstimator(cameras[name], [cameras[each] for each in partners], options)
             maps[name] = estimator.estimate(images[name], [images[each] for each in partners])
-    others = {name: [(cameras[each], maps[each]) for each in NAMES if each != name] for name in NAMES}
+    others = {
+        name: [(cameras[each], maps[each]) for each in NAMES if each != name] for name in NAMES
+    }
     return {name: check_depth(cameras[name], maps[name], others[name], options) for name in NAMES}
 
 
 @pytest.mark.slow
 def test_a_network_finds_all_maps_in_one_batch(rig, tmp_path):
-    """Finished and checked on the device: nearly everywhere what the CPU's own way finds map by map."""
-    options = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options("cpu:0")
+    """Finished and checked on the device: nearly everywhere what the CPU's own way finds map by
+    map.
+    """
+    options = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options(
+        "cpu:0"
+    )
     finder = RigDepth(rig[0], options)
     found, expected = finder.estimate(NAMES, rig[1]), one_by_one(rig, options, finder)
     assert list(found) == NAMES
@@ -51,7 +74,9 @@ def test_a_network_finds_all_maps_in_one_batch(rig, tmp_path):
 
 
 def test_shared_pairs_give_the_bits_of_a_run(rig):
-    """Live matching: each pair once, finished and checked as a run's depth is; other sources afterwards."""
+    """Live matching: each pair once, finished and checked as a run's depth is; other sources
+    afterwards.
+    """
     options = DepthRunOptions("live").options()
     finder = RigDepth(rig[0], options)
     matched = [(name, *finder.partners(name)) for name in NAMES]
@@ -74,7 +99,9 @@ def test_other_matchers_go_map_by_map(rig):
 
 
 def test_partners_are_chosen_or_given(rig):
-    """Pictures are needed of the cameras and of their partners, each once; one that is missing is named."""
+    """Pictures are needed of the cameras and of their partners, each once; one that is missing is
+    named.
+    """
     options = DepthRunOptions("live").options()
     chosen = RigDepth(rig[0], options)
     assert set(chosen.needed(["cam0"])) == {"cam0", *chosen.partners("cam0")}

@@ -1,4 +1,6 @@
-"""Depth from a sensor: mixed pixels, speckles, holes, enlarging, confidence, and a real sequence."""
+"""Depth from a sensor: mixed pixels, speckles, holes, enlarging, confidence, and a real
+sequence.
+"""
 
 import cv2
 import numpy as np
@@ -38,7 +40,9 @@ def make_camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
     return Camera("camera", K, np.eye(4), WIDTH, HEIGHT, 0.5, 8.0).resized(width, height)
 
 
-def plane(camera: Camera, across: float = 0.3, down: float = -0.2, distance: float = 3.0) -> np.ndarray:
+def plane(
+    camera: Camera, across: float = 0.3, down: float = -0.2, distance: float = 3.0
+) -> np.ndarray:
     """Depth of z = across x + down y + distance, (H, W)."""
     rays = camera.rays()
     return (distance / (1 - across * rays[..., 0] - down * rays[..., 1])).astype(np.float32)
@@ -49,7 +53,9 @@ def grey(camera: Camera) -> np.ndarray:
 
 
 def strip(camera: Camera, left: int, right: int) -> tuple[np.ndarray, np.ndarray]:
-    """Exact depth and image of a dark strip at z = 2, columns left..right-1, before a bright wall at z = 4."""
+    """Exact depth and image of a dark strip at z = 2, columns left..right-1, before a bright wall
+    at z = 4.
+    """
     columns = np.broadcast_to(np.arange(camera.width), (camera.height, camera.width))
     on_strip = (columns >= left) & (columns < right)
     image = np.repeat(np.where(on_strip, 40, 210)[..., None], 3, axis=-1).astype(np.uint8)
@@ -62,7 +68,9 @@ def repeat(depth: np.ndarray, times: int) -> np.ndarray:
 
 @pytest.mark.usefixtures("unsmoothed")
 def test_mixed_pixels_become_strip_or_wall():
-    """A column of depths between strip and wall on each edge is gone; each of its pixels has the depth that its colour says."""
+    """A column of depths between strip and wall on each edge is gone; each of its pixels has the
+    depth that its colour says.
+    """
     camera = make_camera()
     truth, image = strip(camera, 30, 50)
     measured = truth.copy()
@@ -75,7 +83,9 @@ def test_mixed_pixels_become_strip_or_wall():
 
 @pytest.mark.usefixtures("unsmoothed")
 def test_mixed_pixels_do_not_take_slopes():
-    """A plane that rays meet up to 78 degrees off its normal has no mixed pixels, at this and at a quarter of the resolution."""
+    """A plane that rays meet up to 78 degrees off its normal has no mixed pixels, at this and at a
+    quarter of the resolution.
+    """
     for width, height in ((WIDTH, HEIGHT), (WIDTH // 4, HEIGHT // 4)):
         camera = make_camera(width, height)
         steep = plane(camera, 2.0, 0, 2.0)
@@ -115,7 +125,9 @@ def test_speckles_go():
 
 @pytest.mark.usefixtures("unsmoothed")
 def test_only_the_cameras_range_counts():
-    """Depth before near, behind far, infinite or not a number is unknown; where nothing is known, all of it."""
+    """Depth before near, behind far, infinite or not a number is unknown; where nothing is known,
+    all of it.
+    """
     camera = make_camera()
     depth = plane(camera)
     for column, value in zip((10, 25, 40, 55, 70), (0.4, 8.1, np.inf, np.nan, -1.0), strict=True):
@@ -129,7 +141,9 @@ def test_only_the_cameras_range_counts():
 
 
 def test_narrow_holes_in_a_plane_are_closed_exactly():
-    """Holes up to three pixels wide in a slanted plane are filled to 1e-6; wider ones stay, and so do those at the border."""
+    """Holes up to three pixels wide in a slanted plane are filled to 1e-6; wider ones stay, and so
+    do those at the border.
+    """
     truth = plane(make_camera())
     depth = truth.copy()
     depth[10, 10:13] = depth[20:23, 30:70] = depth[:, 5] = depth[40:44, 40:44] = depth[:, :2] = 0
@@ -142,7 +156,9 @@ def test_narrow_holes_in_a_plane_are_closed_exactly():
 
 
 def test_holes_between_surfaces_follow_colour():
-    """A hole over an edge of strip and wall is left by the plane filling, then filled as the colours say."""
+    """A hole over an edge of strip and wall is left by the plane filling, then filled as the
+    colours say.
+    """
     truth, image = strip(make_camera(), 30, 50)
     depth = truth.copy()
     depth[:, 48:52] = depth[10:13, 60:63] = 0
@@ -159,7 +175,9 @@ def test_equal_colours_give_the_background():
 
 @pytest.mark.parametrize("times", [2, 3])
 def test_repeated_pixels_are_seen_through(times):
-    """The sensor's pixels come back out of a map in which each is repeated, and so does what flies among them."""
+    """The sensor's pixels come back out of a map in which each is repeated, and so does what flies
+    among them.
+    """
     random = np.random.default_rng(times)
     small = (plane(make_camera(40, 30)) * random.normal(1, 0.001, (30, 40))).astype(np.float32)
     small[12, 17] *= 1.3
@@ -168,32 +186,49 @@ def test_repeated_pixels_are_seen_through(times):
     grid = SensorGrid.find(large)
     assert grid.columns.pitch == grid.rows.pitch == times
     assert grid.reduce(large)[12, -40 + 17 + 0] == small[12, 17]
-    assert np.array_equal(drop_flying_pixels(large, STEP), large)  # a block of equal pixels supports itself
+    # a block of equal pixels supports itself
+    assert np.array_equal(drop_flying_pixels(large, STEP), large)
     camera = make_camera(40 * times, 30 * times)
     result = filter_sensor_depth(large, grey(camera), camera)
     around = result.depth[10 * times : 15 * times, 15 * times : 20 * times]
-    assert np.abs(around / plane(camera)[10 * times : 15 * times, 15 * times : 20 * times] - 1).max() < 0.02
+    assert (
+        np.abs(around / plane(camera)[10 * times : 15 * times, 15 * times : 20 * times] - 1).max()
+        < 0.02
+    )
 
 
 def test_wide_gaps_of_a_coarse_sensor_stay():
-    """A band of 20 columns that the sensor does not know stays, though all its columns are equal; one of 4 is closed."""
-    small = (plane(make_camera(40, 30)) * np.random.default_rng(7).normal(1, 1e-4, (30, 40))).astype(np.float32)
+    """A band of 20 columns that the sensor does not know stays, though all its columns are equal;
+    one of 4 is closed.
+    """
+    small = (
+        plane(make_camera(40, 30)) * np.random.default_rng(7).normal(1, 1e-4, (30, 40))
+    ).astype(np.float32)
     small[:, 10:20] = small[:, 30:32] = 0
     result = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera())
-    assert np.array_equal((result.depth == 0).all(axis=0), (np.arange(80) >= 20) & (np.arange(80) < 40))
+    assert np.array_equal(
+        (result.depth == 0).all(axis=0), (np.arange(80) >= 20) & (np.arange(80) < 40)
+    )
 
 
 def test_confidence_of_a_coarse_sensor_reaches_as_far():
-    """Of a sensor with half the resolution, confidence grows over twice as many of the camera's pixels."""
+    """Of a sensor with half the resolution, confidence grows over twice as many of the camera's
+    pixels.
+    """
     small, _ = strip(make_camera(40, 30), 15, 25)
     small *= np.random.default_rng(8).normal(1, 1e-4, small.shape).astype(np.float32)
-    profile = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera()).confidence[20]
+    profile = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera()).confidence[
+        20
+    ]
     assert profile[36] > 1.1 * profile[34] > 1.1 * profile[32]  # the edge is at column 30
 
 
 def test_unevenly_repeated_columns_are_not_coarse():
     """Columns that are equal here and there are the scene's, not a sensor's."""
-    depth = np.repeat(np.arange(1, 9, dtype=np.float32), (1, 1, 1, 4, 1, 2, 1, 1))[None] + np.arange(6)[:, None]
+    depth = (
+        np.repeat(np.arange(1, 9, dtype=np.float32), (1, 1, 1, 4, 1, 2, 1, 1))[None]
+        + np.arange(6)[:, None]
+    )
     assert len(SensorGrid.find(depth.astype(np.float32)).columns.first) == 12
 
 
@@ -207,7 +242,9 @@ def test_flat_maps_are_not_coarse():
 
 
 def test_columns_of_a_scannet_sensor_are_found(tmp_path):
-    """Where two intrinsics map the sensor's columns unevenly, each is found once, at the place that it shows."""
+    """Where two intrinsics map the sensor's columns unevenly, each is found once, at the place that
+    it shows.
+    """
     random = np.random.default_rng(4)
     cv2.imwrite(str(tmp_path / "0.png"), random.integers(1000, 1100, (24, 32)).astype(np.uint16))
     K = np.array([[70.0, 0, 40.0], [0, 70.0, 30.0], [0, 0, 1]])
@@ -223,7 +260,9 @@ def test_columns_of_a_scannet_sensor_are_found(tmp_path):
 
 
 def test_enlarging_keeps_planes_and_edges():
-    """From a third of the size, a plane comes back to 1e-5 and an edge to the pixel where the image has it."""
+    """From a third of the size, a plane comes back to 1e-5 and an edge to the pixel where the image
+    has it.
+    """
     small_camera, camera = make_camera(40, 30), make_camera(120, 90)
     small = plane(small_camera, 1.0)
     grid = SensorGrid.find(small)
@@ -245,7 +284,9 @@ def test_enlarging_does_not_fill():
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.0])
 def test_confidence_is_the_cosine(angle):
-    """In the middle of a plane, confidence is the cosine between ray and normal, over one plus the squared share of far."""
+    """In the middle of a plane, confidence is the cosine between ray and normal, over one plus the
+    squared share of far.
+    """
     camera = make_camera()
     depth = plane(camera, np.tan(angle), 0, 2.0)
     depth[(depth < camera.near) | (depth > camera.far)] = 0
@@ -259,7 +300,9 @@ def test_confidence_is_the_cosine(angle):
 
 
 def test_confidence_falls_towards_edges():
-    """Beside an edge confidence is least, it grows for three pixels and then no more; unknown depth has none."""
+    """Beside an edge confidence is least, it grows for three pixels and then no more; unknown depth
+    has none.
+    """
     camera = make_camera()
     depth, _ = strip(camera, 30, 50)
     depth[:, :5] = 0
@@ -276,19 +319,31 @@ def test_filled_pixels_are_less_sure():
     camera = make_camera()
     whole, holed = plane(camera), plane(camera)
     holed[30, 40:42] = 0
-    sure, filled = (filter_sensor_depth(depth, grey(camera), camera).confidence for depth in (whole, holed))
+    sure, filled = (
+        filter_sensor_depth(depth, grey(camera), camera).confidence for depth in (whole, holed)
+    )
     assert filled[30, 40:42] == pytest.approx(0.2 * sure[30, 40:42], rel=1e-3)
 
 
 @pytest.mark.usefixtures("unsmoothed")
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(exponent=st.integers(-8, 8), seed=st.integers(0, 100))
 def test_units_do_not_matter(exponent, seed):
     """In a world of other units depth is scaled and confidence as it was."""
     scale = np.float32(2.0**exponent)
     random = np.random.default_rng(seed)
     camera = make_camera()
-    large = Camera("camera", camera.K, np.eye(4), WIDTH, HEIGHT, camera.near * float(scale), camera.far * float(scale))
+    large = Camera(
+        "camera",
+        camera.K,
+        np.eye(4),
+        WIDTH,
+        HEIGHT,
+        camera.near * float(scale),
+        camera.far * float(scale),
+    )
     depth = np.where(random.random((HEIGHT, WIDTH)) < 0.9, plane(camera), 6).astype(np.float32)
     image = random.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
     plain = filter_sensor_depth(depth, image, camera)
@@ -310,7 +365,9 @@ class Measured:
 
 @pytest.mark.usefixtures("unsmoothed")
 def test_estimator_reads_its_frame():
-    """Depth of a frame is that frame's, filtered; one that was not measured is named with what there is."""
+    """Depth of a frame is that frame's, filtered; one that was not measured is named with what
+    there is.
+    """
     camera = make_camera()
     source = Measured(plane(camera), plane(camera, distance=4.0))
     estimator = SensorDepthEstimator(camera, source)
@@ -332,7 +389,9 @@ def test_key_depends_on_the_measurements():
 
 
 def test_wrong_inputs_are_refused():
-    """Steps of the sensor instead of depth, and an image of another size, raise DepthError that says what was wanted."""
+    """Steps of the sensor instead of depth, and an image of another size, raise DepthError that
+    says what was wanted.
+    """
     camera = make_camera()
     with refused(DepthError, "camera camera", "uint16 (60, 80)", "scale"):
         filter_sensor_depth(np.ones((HEIGHT, WIDTH), np.uint16), grey(camera), camera)

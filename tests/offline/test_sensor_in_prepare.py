@@ -15,7 +15,12 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, plan_rig_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import (
+    depth_job,
+    plan_depth,
+    plan_rig_depth,
+    prepare_depth,
+)
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views
@@ -24,7 +29,9 @@ from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
 
 class PlaneSensor:
-    """Measures the plane before a camera, which comes nearer from frame to frame, with a millimetre of noise."""
+    """Measures the plane before a camera, which comes nearer from frame to frame, with a millimetre
+    of noise.
+    """
 
     n_frames = 3
     digest = "plane"
@@ -35,7 +42,9 @@ class PlaneSensor:
     def depths(self, start, stop):
         """Depth of some frames."""
         for frame in range(start, stop):
-            noise = np.random.default_rng(frame).normal(0, 1e-3, (self.camera.height, self.camera.width))
+            noise = np.random.default_rng(frame).normal(
+                0, 1e-3, (self.camera.height, self.camera.width)
+            )
             yield (plane_depth(self.camera, PLANE - [0, 0, 0.2 * frame]) + noise).astype(np.float32)
 
 
@@ -63,14 +72,24 @@ def sensed_plane(tmp_path_factory):
 
 
 def test_cameras_with_a_sensor_need_no_partners(sensed_plane):
-    """Sources with measured depth get jobs without partners, the others stereo; "no" is stereo for all, "fill" for all too."""
+    """Sources with measured depth get jobs without partners, the others stereo; "no" is stereo for
+    all, "fill" for all too.
+    """
     jobs = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthOptions())["cam02"]
     assert {name for name, job in jobs.items() if not job.partner_names} == {"cam00", "cam01"}
-    by_stereo = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="no").options())["cam02"]
+    by_stereo = plan_depth(
+        sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="no").options()
+    )["cam02"]
     assert all(job.partner_names for job in by_stereo.values())
-    filled = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="fill").options())["cam02"]
-    assert [filled[name].partner_names for name in filled] == [by_stereo[name].partner_names for name in filled]
-    assert {name for name in filled if filled[name].unchecked.spec != by_stereo[name].unchecked.spec} == {"cam00", "cam01"}
+    filled = plan_depth(
+        sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="fill").options()
+    )["cam02"]
+    assert [filled[name].partner_names for name in filled] == [
+        by_stereo[name].partner_names for name in filled
+    ]
+    assert {
+        name for name in filled if filled[name].unchecked.spec != by_stereo[name].unchecked.spec
+    } == {"cam00", "cam01"}
 
 
 def test_measured_depth_reaches_the_store(sensed_plane, tmp_path):
@@ -88,7 +107,9 @@ def test_measured_depth_reaches_the_store(sensed_plane, tmp_path):
 
 
 def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, monkeypatch):
-    """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's key does not."""
+    """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's
+    key does not.
+    """
     monkeypatch.setattr(consistency, "FILL_SUPPORT", 0)
     store, options = DepthStore(tmp_path), DepthOptions()
     holed = with_sensors(sensed_plane, HoledSensor)
@@ -106,20 +127,35 @@ def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, mo
 
 
 def test_a_matcher_without_effect_says_so(sensed_plane, tmp_path):
-    """Cameras with a sensor ignore --matcher, which is said with the way to use it; the default is silent."""
-    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
+    """Cameras with a sensor ignore --matcher, which is said with the way to use it; the default is
+    silent.
+    """
+    protocol = Protocol(
+        "sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2)
+    )
     request = RunRequest(
-        tmp_path / "run", sensed_plane, protocol, ("ours-geometric",), DepthRunOptions("live", sensor="alone"), AS_SHIPPED
+        tmp_path / "run",
+        sensed_plane,
+        protocol,
+        ("ours-geometric",),
+        DepthRunOptions("live", sensor="alone"),
+        AS_SHIPPED,
     )
     with pytest.warns(
-        GgvsWarning, match="--matcher live has no effect on 2 cameras whose depth is measured or given; use it with --sensor fill"
+        GgvsWarning,
+        match="--matcher live has no effect on 2 cameras whose depth is measured or given; use it "
+        "with --sensor fill",
     ):
         plan_run(request)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_run(replace(request, root=tmp_path / "usual", depth=DepthRunOptions()))
-        plan_run(replace(request, root=tmp_path / "stereo", depth=DepthRunOptions("live", sensor="no")))
-        plan_run(replace(request, root=tmp_path / "both", depth=DepthRunOptions("live", sensor="fill")))
+        plan_run(
+            replace(request, root=tmp_path / "stereo", depth=DepthRunOptions("live", sensor="no"))
+        )
+        plan_run(
+            replace(request, root=tmp_path / "both", depth=DepthRunOptions("live", sensor="fill"))
+        )
 
 
 class FarSensor(HoledSensor):
@@ -134,15 +170,31 @@ class FarSensor(HoledSensor):
 
 def with_sensors(capture, kind):
     """The capture with sensors of another kind in the places of its own."""
-    return replace(capture, extras=tuple(replace(each, depth=each.depth and kind(each.depth.camera)) for each in capture.extras))
+    return replace(
+        capture,
+        extras=tuple(
+            replace(each, depth=each.depth and kind(each.depth.camera)) for each in capture.extras
+        ),
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "chosen"), [(PlaneSensor, "alone"), (FarSensor, "fill")])
 def test_the_better_depth_is_used(sensed_plane, tmp_path, kind, chosen):
-    """A sensor that explains other cameras' pictures better than stereo is used alone, else in its gaps; the folder keeps it."""
-    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
-    request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, kind), protocol, ("ours-geometric",), None, AS_SHIPPED)
+    """A sensor that explains other cameras' pictures better than stereo is used alone, else in its
+    gaps; the folder keeps it.
+    """
+    protocol = Protocol(
+        "sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3)
+    )
+    request = RunRequest(
+        tmp_path / "run",
+        with_sensors(sensed_plane, kind),
+        protocol,
+        ("ours-geometric",),
+        None,
+        AS_SHIPPED,
+    )
     plan = plan_run(request)
     sensor, stereo = plan.depth.compared["unexplained"]
     assert plan.depth.choice.sensor == chosen, (sensor, stereo)
@@ -162,14 +214,20 @@ def test_the_better_depth_is_used(sensed_plane, tmp_path, kind, chosen):
 
 def test_given_depth_is_used_as_it_is(sensed_plane, tmp_path):
     """What a user gives is not replaced by stereo, however wrong it is."""
-    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
+    protocol = Protocol(
+        "sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3)
+    )
     given = replace(with_sensors(sensed_plane, FarSensor), given_depth=GivenDepth("maps"))
-    plan = plan_run(RunRequest(tmp_path / "run", given, protocol, ("ours-geometric",), None, AS_SHIPPED))
+    plan = plan_run(
+        RunRequest(tmp_path / "run", given, protocol, ("ours-geometric",), None, AS_SHIPPED)
+    )
     assert (plan.depth.choice.sensor, plan.depth.compared) == ("alone", {})
 
 
 def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
-    """What stereo finds stays; elsewhere the sensor's depth stands, of little confidence, after the check as well."""
+    """What stereo finds stays; elsewhere the sensor's depth stands, of little confidence, after the
+    check as well.
+    """
     store, options = DepthStore(tmp_path), DepthRunOptions(sensor="fill").options()
     jobs = [plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, each)["cam02"]["cam00"]
             for each in (options, DepthRunOptions(sensor="no").options())]  # fmt: skip
@@ -190,8 +248,17 @@ def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
 @pytest.mark.slow
 def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane, tmp_path):
     """View interpolation wants no depth; the folder keeps what is chosen once a method does."""
-    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
-    request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, FarSensor), protocol, ("interpolation",), None, AS_SHIPPED)
+    protocol = Protocol(
+        "sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2)
+    )
+    request = RunRequest(
+        tmp_path / "run",
+        with_sensors(sensed_plane, FarSensor),
+        protocol,
+        ("interpolation",),
+        None,
+        AS_SHIPPED,
+    )
     assert prepare_run(plan_run(request)).depth.choice.sensor == "compare"
     prepare_run(plan_run(replace(request, labels=("ours-geometric",))))
     again = plan_run(request)
@@ -200,9 +267,13 @@ def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane
 
 
 def test_a_capture_with_sensors_wants_what_filters_their_depth(sensed_plane, monkeypatch):
-    """Where that is not installed it is refused in a line, and matched for a user who wants no sensor."""
+    """Where that is not installed it is refused in a line, and matched for a user who wants no
+    sensor.
+    """
     part = "ggvs_eval.pipelines.offline.sensor"
-    monkeypatch.setattr(plugins, "missing_part", lambda module: part if module.startswith(part) else None)
+    monkeypatch.setattr(
+        plugins, "missing_part", lambda module: part if module.startswith(part) else None
+    )
 
     with refused(AbsentPartError, f"sensor depth is part of {part}", "omit it"):
         plan_rig_depth(sensed_plane, DepthOptions())

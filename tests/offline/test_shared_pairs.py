@@ -1,4 +1,6 @@
-"""Depth of the sources of several target views: each ordered pair of cameras is matched once an instant, with equal bits."""
+"""Depth of the sources of several target views: each ordered pair of cameras is matched once an
+instant, with equal bits.
+"""
 
 from dataclasses import replace
 
@@ -39,14 +41,20 @@ def filled(store, planned, monkeypatch, shares=True):
     with monkeypatch.context() as patch:
         patch.setattr(SgbmMatcher, "match", counted)
         if not shares:
-            patch.setattr(fill_store, "_by_camera", lambda needed, *_: [{job: needed[job]} for job in needed])
+            patch.setattr(
+                fill_store, "_by_camera", lambda needed, *_: [{job: needed[job]} for job in needed]
+            )
         prepare_depth(capture, jobs, FRAMES, store, OPTIONS, 1)
-    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in FRAMES}, len(pairs)
+    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in FRAMES}, len(
+        pairs
+    )
 
 
 @pytest.mark.slow
 def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
-    """As many matchings as there are ordered pairs, fewer than job by job, and the same maps; later what is lost alone."""
+    """As many matchings as there are ordered pairs, fewer than job by job, and the same maps; later
+    what is lost alone.
+    """
     _, jobs = planned
     found = {each for job in jobs for each in (job.unchecked, *job.checked_with)}
     ordered = {(job.camera_name, name) for job in found for name in job.partner_names}
@@ -70,8 +78,13 @@ def test_instants_that_depend_on_each_other_share_nothing(planned):
     """Matches that start from the instant before are their estimator's own."""
     capture, jobs = planned
     unchecked = dict.fromkeys((job.unchecked for job in jobs), FRAMES)
-    assert all(len(group) == 1 for group in fill_store._by_camera(unchecked, replace(OPTIONS, keyframe_every=4), 1))
+    assert all(
+        len(group) == 1
+        for group in fill_store._by_camera(unchecked, replace(OPTIONS, keyframe_every=4), 1)
+    )
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 1))) > 1
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 64))) == 1
     with refused(DepthError, "wanted warm=False"):
-        PairwiseEstimator(capture.cameras[0], capture.cameras[1:], SgbmMatcher(), 0.5, warm=True, shared={})
+        PairwiseEstimator(
+            capture.cameras[0], capture.cameras[1:], SgbmMatcher(), 0.5, warm=True, shared={}
+        )

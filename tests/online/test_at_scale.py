@@ -31,7 +31,9 @@ def instant() -> Instant:
 
 
 def test_sources_are_small_and_the_picture_is_large(instant):
-    """The method sees half of everything, depth included; the picture and its depth have the target's size again."""
+    """The method sees half of everything, depth included; the picture and its depth have the
+    target's size again.
+    """
     inner = Noted()
     rendering = AtScale(inner, 0.5).step(instant)
     width, height = instant.target.size
@@ -40,8 +42,14 @@ def test_sources_are_small_and_the_picture_is_large(instant):
     assert small.target.size == (round(width / 2), round(height / 2))
     assert small.target.K[0, 0] == pytest.approx(instant.target.K[0, 0] / 2)
     for source, whole in zip(small.sources, instant.sources, strict=True):
-        assert source.image.shape[:2] == source.depth.shape == source.confidence.shape == source.camera.size[::-1]
-        assert set(np.unique(source.depth)) <= set(np.unique(whole.depth))  # no mean of two surfaces
+        assert (
+            source.image.shape[:2]
+            == source.depth.shape
+            == source.confidence.shape
+            == source.camera.size[::-1]
+        )
+        # no mean of two surfaces
+        assert set(np.unique(source.depth)) <= set(np.unique(whole.depth))
         assert source.share == whole.share
     assert rendering.image.shape == (height, width, 3)
     assert rendering.image.dtype == np.float32
@@ -56,7 +64,10 @@ def test_labels_set_the_scale_of_any_online_method():
     """With options, of a variant, with a device: the label says it, and the identity knows it."""
     for label, title in (
         ("distance-based+scale=0.5", "Distance-based Blending, scale=0.5"),
-        ("ours-geometric+no-temporal+scale=0.25", "GGVS (online), geometric weights, no temporal filtering, scale=0.25"),
+        (
+            "ours-geometric+no-temporal+scale=0.25",
+            "GGVS (online), geometric weights, no temporal filtering, scale=0.25",
+        ),
     ):
         spec = find_method(label)
         assert spec.title == title
@@ -67,8 +78,13 @@ def test_labels_set_the_scale_of_any_online_method():
     assert "scale" in both.settings
 
 
-@pytest.mark.parametrize("label", ["ours+scale=1.5", "ours+scale=0", "ours+scale=half", "ours-geometric+offline+scale=0.5"])
+@pytest.mark.parametrize(
+    "label",
+    ["ours+scale=1.5", "ours+scale=0", "ours+scale=half", "ours-geometric+offline+scale=0.5"],
+)
 def test_what_is_no_scale_is_refused(label):
     """A scale beyond (0, 1), a word, and a method that must see the whole sequence first."""
-    with pytest.raises(RenderError, match="wanted a scale between 0 and 1 of a method that is online"):
+    with pytest.raises(
+        RenderError, match="wanted a scale between 0 and 1 of a method that is online"
+    ):
         find_method(label)

@@ -1,4 +1,6 @@
-"""What our method decides on the way to a frame: its maps, their pictures in a run, and those in the page."""
+"""What our method decides on the way to a frame: its maps, their pictures in a run, and those in
+the page.
+"""
 
 import dataclasses
 
@@ -35,10 +37,16 @@ def reported_run(tmp_path_factory) -> RunFolder:
 
 
 def test_shares_are_those_of_the_composed_picture():
-    """Eqs. 4-5 at the network's own size: the views by their shares and the background by the rest are the composed picture."""
+    """Eqs. 4-5 at the network's own size: the views by their shares and the background by the rest
+    are the composed picture.
+    """
     maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)), "registered")
     views = len(maps.sources)
-    small = np.random.default_rng(0).uniform(0, 1, (views + 4, TARGET.height, TARGET.width)).astype(np.float32)
+    small = (
+        np.random.default_rng(0)
+        .uniform(0, 1, (views + 4, TARGET.height, TARGET.width))
+        .astype(np.float32)
+    )
     small[:views] /= small[:views].sum(axis=0)
     small[views + 1 :] = 0
     background = filled_picture(maps)
@@ -50,11 +58,15 @@ def test_shares_are_those_of_the_composed_picture():
     weight = 1 / (1 + np.exp(-(small[views] + np.log(unseen / (1 - unseen)))))
     np.testing.assert_allclose(shares.sum(axis=0), (1 - weight) * shown, atol=1e-5)
     expected = composed(maps, maps.unseen(), background, small, 1).picture
-    np.testing.assert_allclose(mixed + weight[..., None] * background, np.moveaxis(expected, 0, 2), atol=1e-4)
+    np.testing.assert_allclose(
+        mixed + weight[..., None] * background, np.moveaxis(expected, 0, 2), atol=1e-4
+    )
 
 
 def test_one_view_alone_shows_its_colour():
-    """All weight on one view is its colour, half of it half as bright, none is black; an eighth view has the first one's."""
+    """All weight on one view is its colour, half of it half as bright, none is black; an eighth
+    view has the first one's.
+    """
     weights = np.zeros((8, 1, 4), np.float32)
     weights[2, 0, 0], weights[2, 0, 1], weights[7, 0, 3] = 1, 0.5, 1
     drawn = view_colours(weights)[0]
@@ -74,22 +86,30 @@ def test_one_view_alone_shows_its_colour():
     ],
 )
 def test_a_job_writes_what_its_method_tells(reported_run, label, names):
-    """Each map of each frame, at a quarter of the size, in views and along the path; methods that tell nothing have no folder."""
+    """Each map of each frame, at a quarter of the size, in views and along the path; methods that
+    tell nothing have no folder.
+    """
     for frames in (reported_run.renders(label, "cam00"), reported_run.path(label)):
         inside = frames / DIAGNOSTICS
-        assert {folder.name for folder in inside.iterdir()} == names if names else not inside.exists()
+        assert (
+            {folder.name for folder in inside.iterdir()} == names if names else not inside.exists()
+        )
         for name in names:
             assert read_image(diagnostics_path(frames, name, 1)).shape == (12, 16, 3)
 
 
 @pytest.mark.slow
 def test_the_page_can_choose_them(reported_run):
-    """The maps of ours, not of its variants, stand beside the frames of every view, named and explained; they have no errors."""
+    """The maps of ours, not of its variants, stand beside the frames of every view, named and
+    explained; they have no errors.
+    """
     measured = read_run(reported_run.root)
     shown = compare_frames(measured)
     inside = [f"ours/{name}" for name in MEANINGS]
     assert list(shown.keys) == ["truth", *LABELS, *inside]
-    assert shown.names[-4:] == tuple(f"GGVS (online): {name}" for name in ("depth", "weights", "coverage", "motion"))
+    assert shown.names[-4:] == tuple(
+        f"GGVS (online): {name}" for name in ("depth", "weights", "coverage", "motion")
+    )
     for view in shown.views:
         assert [len(shown.images[view][key]) for key in inside] == [2] * 4
         assert set(shown.errors[view]) == set(LABELS)

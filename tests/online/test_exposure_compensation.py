@@ -1,4 +1,6 @@
-"""Colour between cameras: planted gains are found, the free one is fixed, and the picture is better for it."""
+"""Colour between cameras: planted gains are found, the free one is fixed, and the picture is better
+for it.
+"""
 
 from dataclasses import replace
 
@@ -9,13 +11,19 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
+from ggvs_eval.pipelines.online.exposure_compensation import (
+    GAUGE_POWER,
+    ExposureCompensation,
+    gained_image,
+)
 from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
-GAINS = np.array([[1.06, 1.03, 1.0], [0.95, 0.97, 0.99], [1.02, 0.98, 1.04], [0.94, 1.05, 1.0]], np.float32)
+GAINS = np.array(
+    [[1.06, 1.03, 1.0], [0.95, 0.97, 0.99], [1.02, 0.98, 1.04], [0.94, 1.05, 1.0]], np.float32
+)
 TOLERANCE = 0.05
 
 
@@ -34,21 +42,33 @@ def estimated(compensation: ExposureCompensation, seen: Instant) -> np.ndarray:
 
 
 def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
-    """The factors that undo gains, their free factor fixed by the distance-weighted mean of the logarithms."""
+    """The factors that undo gains, their free factor fixed by the distance-weighted mean of the
+    logarithms.
+    """
     weights = view_weights(TARGET, sources).astype(float) ** GAUGE_POWER
     logarithms = np.log(gains)
     return np.exp(weights @ logarithms / weights.sum() - logarithms)
 
 
 def test_planted_gains_are_found():
-    """Gains of up to 6 % per channel come back within half a percent, but for their common factor."""
-    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0)), anchored(GAINS), atol=0.005)
+    """Gains of up to 6 % per channel come back within half a percent, but for their common
+    factor.
+    """
+    np.testing.assert_allclose(
+        estimated(ExposureCompensation(), planted(0)), anchored(GAINS), atol=0.005
+    )
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.9])
 def test_the_common_gain_stays(gain):
-    """A gain that all sources share cannot be told from brightness and is left alone: every factor is 1."""
-    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.full_like(GAINS, gain))), 1, atol=0.002)
+    """A gain that all sources share cannot be told from brightness and is left alone: every factor
+    is 1.
+    """
+    np.testing.assert_allclose(
+        estimated(ExposureCompensation(), planted(0, gains=np.full_like(GAINS, gain))),
+        1,
+        atol=0.002,
+    )
 
 
 def test_the_order_of_sources_does_not_matter():
@@ -73,7 +93,9 @@ def test_sources_may_come_and_go():
 
 
 def test_ratios_are_remembered():
-    """When a gain jumps, a memory of ten instants follows by a third at the third instant; without one it follows at once."""
+    """When a gain jumps, a memory of ten instants follows by a third at the third instant; without
+    one it follows at once.
+    """
     jumped, calm, quick = GAINS.copy(), ExposureCompensation(), ExposureCompensation(memory=1)
     jumped[0] *= 1.1
     for compensation in (calm, quick):
@@ -90,17 +112,29 @@ def test_nothing_in_common_changes_nothing():
     """Where no depth is known, or sources disagree about it, every factor is 1."""
     seen = planted(0)
     for factors in ([0, 0, 0, 0], [1, 2, 3, 4]):
-        sources = [replace(view, depth=view.depth * factor) for view, factor in zip(seen.sources, factors, strict=True)]
-        np.testing.assert_array_equal(estimated(ExposureCompensation(), replace(seen, sources=tuple(sources))), 1)
+        sources = [
+            replace(view, depth=view.depth * factor)
+            for view, factor in zip(seen.sources, factors, strict=True)
+        ]
+        np.testing.assert_array_equal(
+            estimated(ExposureCompensation(), replace(seen, sources=tuple(sources))), 1
+        )
 
 
 def test_what_is_clipped_does_not_count():
-    """White says nothing of a gain: a picture that is half white gives the gains of the other half."""
+    """White says nothing of a gain: a picture that is half white gives the gains of the
+    other half.
+    """
     seen = planted(0)
     white = [view.image.copy() for view in seen.sources]
     for image in white:
         image[:36] = 255
-    half = replace(seen, sources=tuple(replace(view, image=image) for view, image in zip(seen.sources, white, strict=True)))
+    half = replace(
+        seen,
+        sources=tuple(
+            replace(view, image=image) for view, image in zip(seen.sources, white, strict=True)
+        ),
+    )
 
     np.testing.assert_allclose(estimated(ExposureCompensation(), half), anchored(GAINS), atol=0.01)
 
@@ -110,8 +144,12 @@ def test_images_stay_in_8_bit():
     image = np.array([[[100, 200, 250]]], np.uint8)
     plain = planted(0, SOURCES[:1], GAINS[:1])
 
-    np.testing.assert_array_equal(gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]])
-    np.testing.assert_array_equal(ExposureCompensation().step(plain, TOLERANCE).sources[0].image, plain.sources[0].image)
+    np.testing.assert_array_equal(
+        gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]]
+    )
+    np.testing.assert_array_equal(
+        ExposureCompensation().step(plain, TOLERANCE).sources[0].image, plain.sources[0].image
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -126,19 +164,28 @@ def seen_in_part(index: int, rows: int) -> Instant:
     """Two cameras, the second at .85 of the exposure; depth is known in so many rows."""
     seen = planted(index, SOURCES[:2], np.array([[1.0] * 3, [0.85] * 3], np.float32))
     known = np.arange(SOURCES[0].height)[:, None] < rows
-    return replace(seen, sources=tuple(replace(view, depth=view.depth * known) for view in seen.sources))
+    return replace(
+        seen, sources=tuple(replace(view, depth=view.depth * known) for view in seen.sources)
+    )
 
 
 def test_a_pair_that_shares_too_little_is_remembered():
-    """Enough common looks at every other instant: the ratio of the exposures stays within 1 % of 1 / .85."""
+    """Enough common looks at every other instant: the ratio of the exposures stays within 1 % of 1
+    / .85.
+    """
     compensation, wide, narrow = ExposureCompensation(), 72, 4
-    found = [estimated(compensation, seen_in_part(index, narrow if index % 2 else wide)) for index in range(8)]
+    found = [
+        estimated(compensation, seen_in_part(index, narrow if index % 2 else wide))
+        for index in range(8)
+    ]
 
     np.testing.assert_allclose([each[1] / each[0] for each in found], 1 / 0.85, rtol=0.01)
 
 
 def test_what_is_remembered_fades():
-    """Once nothing is shared any more a ratio goes back to 1, by no more than 1.5 % an instant; without a memory at once."""
+    """Once nothing is shared any more a ratio goes back to 1, by no more than 1.5 % an instant;
+    without a memory at once.
+    """
     compensation, none = ExposureCompensation(), ExposureCompensation(memory=1)
     ratios = []
     for index in range(120):
@@ -161,17 +208,24 @@ def black(seen: Instant, number: int, level: int = 0) -> Instant:
 @pytest.mark.parametrize("method", ["ours", "ours-geometric"])
 @pytest.mark.parametrize(("number", "level"), [(0, 0), (1, 0), (0, 255)])
 def test_a_black_source_is_left_out(method, number, level):
-    """A source that is black or white for an instant costs that instant 3 dB at most, and the instants behind it nothing."""
+    """A source that is black or white for an instant costs that instant 3 dB at most, and the
+    instants behind it nothing.
+    """
     made, truth = find_method(method).make(), look(TARGET)[0]
     plain = [instant(index, TARGET, SOURCES) for index in range(3)]
-    scores = [psnr_db(made.step(black(each, number, level) if each.index == 1 else each).image, truth) for each in plain]
+    scores = [
+        psnr_db(made.step(black(each, number, level) if each.index == 1 else each).image, truth)
+        for each in plain
+    ]
 
     assert scores[1] > scores[0] - 3
     assert scores[2] > scores[0] - 0.1
 
 
 def test_sources_that_agree_stay():
-    """Gains of cameras, two sources of which nobody can say which is wrong, and a dark room leave out none."""
+    """Gains of cameras, two sources of which nobody can say which is wrong, and a dark room leave
+    out none.
+    """
     dark = planted(0, gains=np.full_like(GAINS, 0.06))
     for seen in (planted(0), black(planted(0, SOURCES[:2], GAINS[:2]), 0), dark):
         assert len(ExposureCompensation().step(seen, TOLERANCE).sources) == len(seen.sources)

@@ -9,7 +9,9 @@ from ggvs_eval.pipelines.online.exposure_compensation import PRIOR, ExposureComp
 
 
 def test_a_pair_weighs_its_share_of_the_samples_of_both(monkeypatch):
-    """Eight of 100 + 300 look-ups are a share of .02; the log ratio is split between the two against the prior."""
+    """Eight of 100 + 300 look-ups are a share of .02; the log ratio is split between the two
+    against the prior.
+    """
     looks = np.zeros((8, 4), np.float32)
     looks[:, :3] = 0.4
     shared = {(0, 1): looks}, np.array([100, 300]), np.ones((2, 2))

@@ -1,4 +1,6 @@
-"""Fall-off of lenses: a planted one comes back, fields that cameras have for themselves do not pass for one, none is none."""
+"""Fall-off of lenses: a planted one comes back, fields that cameras have for themselves do not pass
+for one, none is none.
+"""
 
 from dataclasses import replace
 
@@ -54,14 +56,18 @@ def slope_of(seen: Instant) -> float:
 
 @pytest.mark.parametrize("darker", [0.1, 0.2, 0.3])
 def test_a_planted_fall_off_comes_back(darker):
-    """Corners darker by a tenth to nearly a third, whatever the gains: within a seventh of it, never more than there is."""
+    """Corners darker by a tenth to nearly a third, whatever the gains: within a seventh of it,
+    never more than there is.
+    """
     planted = np.log(1 - darker) / CORNER
     for gains in ((1, 1, 1, 1), (1.05, 0.93, 1.0, 0.97)):
         assert 0.85 * planted > slope_of(seen_through([planted] * 4, gains=gains)) > 1.03 * planted
 
 
 def test_without_fall_off_nothing_is_touched():
-    """Equal cameras, or cameras with gains alone: the slope is exactly 0, and images are what gains make of them."""
+    """Equal cameras, or cameras with gains alone: the slope is exactly 0, and images are what gains
+    make of them.
+    """
     for gains in ((1, 1, 1, 1), (1.05, 0.93, 1.0, 0.97)):
         seen, compensation = seen_through([0.0] * 4, gains=gains), ExposureCompensation()
         after = compensation.step(seen, TOLERANCE)
@@ -72,7 +78,9 @@ def test_without_fall_off_nothing_is_touched():
 
 
 def test_fields_of_their_own_do_not_pass_for_a_lens():
-    """Each camera brighter to one side by up to 4 %, another each: pairs disagree, and nothing is concluded."""
+    """Each camera brighter to one side by up to 4 %, another each: pairs disagree, and nothing is
+    concluded.
+    """
     seen = seen_through([0.0] * 4)
     tilts = (0.04, -0.03, 0.0, 0.03)
     ramp = np.linspace(-1, 1, TARGET.width)[:, None]
@@ -84,18 +92,30 @@ def test_fields_of_their_own_do_not_pass_for_a_lens():
 
 
 def test_the_picture_is_better_for_it():
-    """A target at the side of its sources, behind such a lens itself, is nearer to the truth by half a decibel."""
+    """A target at the side of its sources, behind such a lens itself, is nearer to the truth by
+    half a decibel.
+    """
     planted = np.log(0.75) / CORNER
     truth = look(TARGET)[0] / 255.0 * field(TARGET, planted)
     seen = seen_through([planted] * 4)
-    scores = [psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(seen).image, truth) for on in (True, False)]
+    scores = [
+        psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(seen).image, truth)
+        for on in (True, False)
+    ]
     assert scores[0] > scores[1] + 0.5
 
 
 @pytest.mark.parametrize("slope", [-0.4, 0.4])
 def test_flattened_and_fallen_off_are_inverse(slope):
-    """For one camera the two undo each other but for 8 bit, and nothing is cut off, white corners included."""
-    camera, image = TARGET, np.random.default_rng(0).integers(0, 256, (TARGET.height, TARGET.width, 3)).astype(np.uint8)
+    """For one camera the two undo each other but for 8 bit, and nothing is cut off, white corners
+    included.
+    """
+    camera, image = (
+        TARGET,
+        np.random.default_rng(0)
+        .integers(0, 256, (TARGET.height, TARGET.width, 3))
+        .astype(np.uint8),
+    )
     image[0, 0] = image[36, 48] = 255
     flat = flattened(image, camera, np.ones(3, np.float32), slope, CORNER)
     back = fallen_off(flat.astype(np.float32) / 255, camera, slope, CORNER)

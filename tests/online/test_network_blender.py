@@ -61,7 +61,9 @@ def start_of(batch: int, views: int, height: int, width: int) -> dict[str, torch
 
 
 def test_outputs_are_weights():
-    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh as the start does."""
+    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits
+    weigh as the start does.
+    """
     raw = 20 * torch.randn(2, 7, 4, 5)
     raw[0, :3] = 1.5
     outputs = read_outputs(raw, start_of(2, 3, 4, 5), 3)
@@ -74,7 +76,9 @@ def test_outputs_are_weights():
 
 
 def test_zeros_change_nothing():
-    """With outputs of zero, enlarged or not, the start comes back: its weights, what is unseen, its background."""
+    """With outputs of zero, enlarged or not, the start comes back: its weights, what is unseen, its
+    background.
+    """
     start = start_of(1, 2, 5, 7) | {"weights": torch.tensor([[1.0, 0.25]])}
     for size in ((5, 7), (3, 4)):
         outputs = read_outputs(torch.zeros(1, 6, *size), start, 2)
@@ -84,27 +88,43 @@ def test_zeros_change_nothing():
 
 
 def test_views_are_composed_over_the_background():
-    """Eqs. 4-5: the views' weighted mean, 0 where no view has weight, and the background over it by its weight."""
+    """Eqs. 4-5: the views' weighted mean, 0 where no view has weight, and the background over it by
+    its weight.
+    """
     rng = np.random.default_rng(0)
     colours, background = rng.uniform(size=(3, 6, 7, 3)), rng.uniform(size=(6, 7, 3))
-    alphas, shares, background_weight = rng.uniform(size=(3, 6, 7)), rng.uniform(size=(3, 6, 7)), rng.uniform(size=(6, 7))
+    alphas, shares, background_weight = (
+        rng.uniform(size=(3, 6, 7)),
+        rng.uniform(size=(3, 6, 7)),
+        rng.uniform(size=(6, 7)),
+    )
     alphas[:, 2:4, 2:4] = 0
-    single = [array.astype(np.float32) for array in (colours, alphas, shares, background, background_weight)]
+    single = [
+        array.astype(np.float32)
+        for array in (colours, alphas, shares, background, background_weight)
+    ]
     colours, alphas, shares, background, background_weight = single
     weights = (alphas * shares)[..., None]
     foreground = (weights * colours).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-30)
     expected = foreground + background_weight[..., None] * (background - foreground)
     shown = torch.from_numpy(background).permute(2, 0, 1)[None]
     outputs = BlendOutputs(
-        torch.from_numpy(shares)[None], torch.from_numpy(background_weight)[None], shown, torch.zeros(1, 0, 6, 7)
+        torch.from_numpy(shares)[None],
+        torch.from_numpy(background_weight)[None],
+        shown,
+        torch.zeros(1, 0, 6, 7),
     )
-    found = compose_tensors(outputs, torch.from_numpy(colours).permute(0, 3, 1, 2)[None], torch.from_numpy(alphas)[None])
+    found = compose_tensors(
+        outputs, torch.from_numpy(colours).permute(0, 3, 1, 2)[None], torch.from_numpy(alphas)[None]
+    )
     np.testing.assert_allclose(found[0].permute(1, 2, 0).numpy(), expected, atol=1e-6)
 
 
 def decisive(weights, tmp_path, bias: list[float]):
     """Weights of a network that answers the same everywhere: the bias of its last layer."""
-    tensors = {name: tensor.float() for name, tensor in load_blend_network(weights).state_dict().items()}
+    tensors = {
+        name: tensor.float() for name, tensor in load_blend_network(weights).state_dict().items()
+    }
     tensors["unet.last.weight"] = torch.zeros_like(tensors["unet.last.weight"]).contiguous()
     tensors["unet.last.bias"] = torch.tensor(bias + [0.0] * CONFIG.features)
     path = tmp_path / "decisive.safetensors"
@@ -113,23 +133,48 @@ def decisive(weights, tmp_path, bias: list[float]):
 
 
 def test_the_network_decides(weights, tmp_path):
-    """A network that chooses the nearest view shows its splat; one that chooses the background shows that."""
+    """A network that chooses the nearest view shows its splat; one that chooses the background
+    shows that.
+    """
     inputs = inputs_of(instant(0, TARGET, SOURCES))
-    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -80.0, 0, 0, 0])).blend(inputs).image
+    nearest = (
+        NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -80.0, 0, 0, 0]))
+        .blend(inputs)
+        .image
+    )
     covered = inputs.splats[0].alpha > 0.5
-    np.testing.assert_allclose(nearest[covered], inputs.splats[0].features[..., :3][covered], atol=1e-4)
+    np.testing.assert_allclose(
+        nearest[covered], inputs.splats[0].features[..., :3][covered], atol=1e-4
+    )
     (tmp_path / "other").mkdir()
-    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 80, -40, -40, -40])).blend(inputs).image
+    black = (
+        NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 80, -40, -40, -40]))
+        .blend(inputs)
+        .image
+    )
     assert black.max() < 1e-6
 
 
 def test_weights_of_before_the_condition_serve_on(weights, tmp_path):
     """A file without the refiner's condition gives the picture of one whose condition is zero."""
-    tensors = {name: tensor.contiguous() for name, tensor in load_blend_network(weights).state_dict().items()}
+    tensors = {
+        name: tensor.contiguous()
+        for name, tensor in load_blend_network(weights).state_dict().items()
+    }
     files = tmp_path / "without.safetensors", tmp_path / "zero.safetensors"
-    save_file({name: tensor for name, tensor in tensors.items() if "condition" not in name}, files[0])
-    save_file({name: torch.zeros_like(tensor) if "condition" in name else tensor for name, tensor in tensors.items()}, files[1])
-    first, second = (NetworkBlender(file).blend(inputs_of(instant(0, TARGET, SOURCES))).image for file in files)
+    save_file(
+        {name: tensor for name, tensor in tensors.items() if "condition" not in name}, files[0]
+    )
+    save_file(
+        {
+            name: torch.zeros_like(tensor) if "condition" in name else tensor
+            for name, tensor in tensors.items()
+        },
+        files[1],
+    )
+    first, second = (
+        NetworkBlender(file).blend(inputs_of(instant(0, TARGET, SOURCES))).image for file in files
+    )
     np.testing.assert_array_equal(first, second)
     network = load_blend_network(weights)
     torch.nn.init.ones_(network.refiner.condition.weight)
@@ -148,10 +193,17 @@ def test_another_number_of_views_is_refused(weights):
 
 @pytest.mark.parametrize(
     "config",
-    [CONFIG, BlendNetworkShape(3, "none", 6), BlendNetworkShape(1, "channels", 4), BlendNetworkShape(6, "registered", 4)],
+    [
+        CONFIG,
+        BlendNetworkShape(3, "none", 6),
+        BlendNetworkShape(1, "channels", 4),
+        BlendNetworkShape(6, "registered", 4),
+    ],
 )
 def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
-    """Views, guidance and width come back from the file, and so do the weights, in half precision."""
+    """Views, guidance and width come back from the file, and so do the weights, in half
+    precision.
+    """
     network = BlendNetwork(config)
     write_weights(tmp_path / "any.safetensors", network, {})
     loaded = load_blend_network(tmp_path / "any.safetensors")
@@ -162,7 +214,9 @@ def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
 
 
 def test_weights_of_something_else_are_refused(network, tmp_path):
-    """Absent, damaged, other tensors, one tensor of another shape: one line each that names the file."""
+    """Absent, damaged, other tensors, one tensor of another shape: one line each that names the
+    file.
+    """
     missing = tmp_path / "missing.safetensors"
     with refused(WeightsError, "missing.safetensors", "blending network"):
         load_blend_network(missing)
@@ -178,7 +232,11 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
             tensors | {"unet.down.0.0.weight": torch.zeros(4, 17, 3, 3)},
             "want 21 inputs, 19 as printed, 16 without TSDF",
         ),
-        ("shape", tensors | {"unet.up.0.0.bias": torch.zeros(7)}, r"1 tensors differ .*unet\.up\.0\.0\.bias: .*got \(7,\)"),
+        (
+            "shape",
+            tensors | {"unet.up.0.0.bias": torch.zeros(7)},
+            r"1 tensors differ .*unet\.up\.0\.0\.bias: .*got \(7,\)",
+        ),
         ("views", tensors | {"unet.last.weight": torch.zeros(7, 4, 1, 1)}, "7 outputs, 0 views"),
     ):
         path = tmp_path / f"{name}.safetensors"
@@ -189,14 +247,18 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
 
 def test_weights_that_do_not_ship_are_named(monkeypatch, tmp_path):
     """For a guidance nobody trained for, the message says what is there and what to do."""
-    monkeypatch.setattr("ggvs_eval.pipelines.online.blend_network.resources.files", lambda package: tmp_path)
+    monkeypatch.setattr(
+        "ggvs_eval.pipelines.online.blend_network.resources.files", lambda package: tmp_path
+    )
     with refused(WeightsError, "none guidance", "blend-no-tsdf.safetensors"):
         shipped_blend_weights("none")
 
 
 @pytest.mark.parametrize("config", [CONFIG, BlendNetworkShape(3, "registered", 4, scale=2)])
 def test_an_image_of_a_batch_is_the_blenders_image(config):
-    """Training composes by the twin what the blender composes by numpy: the same image within rounding, absent views too."""
+    """Training composes by the twin what the blender composes by numpy: the same image within
+    rounding, absent views too.
+    """
     torch.manual_seed(1)
     network = BlendNetwork(config).eval()
     torch.nn.init.normal_(network.unet.last.weight, std=0.3)
@@ -214,12 +276,19 @@ def test_an_image_of_a_batch_is_the_blenders_image(config):
         }
         composed = compose_tensors(outputs, views["colours"], views["coverage"])
         twin = network.refine(composed, outputs, views)[0].clamp(0, 1)
-    np.testing.assert_allclose(blend_by(network, maps).image, twin.permute(1, 2, 0).numpy(), atol=1e-4)
+    np.testing.assert_allclose(
+        blend_by(network, maps).image, twin.permute(1, 2, 0).numpy(), atol=1e-4
+    )
 
 
 def test_an_untrained_network_is_the_geometric_blender():
-    """Before the first step the registered views are blended by distance: the geometric blender's image, but for the faint."""
+    """Before the first step the registered views are blended by distance: the geometric blender's
+    image, but for the faint.
+    """
     inputs = inputs_of(instant(0, TARGET, SOURCES))
     network = BlendNetwork(BlendNetworkShape(2, "registered", 4)).eval()
-    image, geometric = blend_by(network, blend_maps(inputs, "registered")).image, GeometricBlender().blend(inputs).image
+    image, geometric = (
+        blend_by(network, blend_maps(inputs, "registered")).image,
+        GeometricBlender().blend(inputs).image,
+    )
     assert np.abs(image - geometric).mean() < 0.01

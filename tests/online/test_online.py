@@ -1,4 +1,6 @@
-"""The online half: causality, stillness, ablations, and what each stage does in a scene known in closed form."""
+"""The online half: causality, stillness, ablations, and what each stage does in a scene known in
+closed form.
+"""
 
 from dataclasses import replace
 
@@ -24,18 +26,27 @@ SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 
 
 # The others, from outside or fitted, have tests of their own.
-SHIPPED = [label for label, spec in METHODS.items() if isinstance(spec, OnlineMethod) and "weights" not in spec.takes]
+SHIPPED = [
+    label
+    for label, spec in METHODS.items()
+    if isinstance(spec, OnlineMethod) and "weights" not in spec.takes
+]
 ONLINE = [label for label in SHIPPED if METHODS[label].online]
 
 
 def play(label: str, positions: list[float], **options) -> list[np.ndarray]:
     method = find_method(label).make()
-    return [method.step(instant(t, TARGET, SOURCES, x, **options)).image for t, x in enumerate(positions)]
+    return [
+        method.step(instant(t, TARGET, SOURCES, x, **options)).image
+        for t, x in enumerate(positions)
+    ]
 
 
 @pytest.mark.parametrize("label", ONLINE)
 def test_changing_the_future_does_not_change_the_present(label):
-    """Two sequences that agree up to instant 2 give the same bits up to instant 2, and differ after."""
+    """Two sequences that agree up to instant 2 give the same bits up to instant 2, and differ
+    after.
+    """
     first = play(label, [0.0, 0.1, 0.2, 0.3])
     second = play(label, [0.0, 0.1, 0.2, -0.5])
 
@@ -44,16 +55,23 @@ def test_changing_the_future_does_not_change_the_present(label):
     assert not np.array_equal(first[3], second[3])
 
 
-@pytest.mark.parametrize("label", sorted({*SHIPPED} - {*ONLINE}))  # of the others the test above says it
+# of the others the test above says it
+@pytest.mark.parametrize("label", sorted({*SHIPPED} - {*ONLINE}))
 def test_equal_inputs_give_equal_bits(label):
     """Playing a sequence twice gives the same images to the last bit."""
-    for once, again in zip(play(label, [0.0, 0.1], depth_noise=0.02), play(label, [0.0, 0.1], depth_noise=0.02), strict=True):
+    for once, again in zip(
+        play(label, [0.0, 0.1], depth_noise=0.02),
+        play(label, [0.0, 0.1], depth_noise=0.02),
+        strict=True,
+    ):
         np.testing.assert_array_equal(once, again)
 
 
 @pytest.mark.parametrize("label", SHIPPED)
 def test_exact_depth_gives_the_captured_view(label):
-    """With exact depth and smooth texture every method comes close to the truth away from the square's edge."""
+    """With exact depth and smooth texture every method comes close to the truth away from the
+    square's edge.
+    """
     truth, depth = look(TARGET)
     inside = depth == WALL_Z
     inside[15:60, 20:75] = False  # the square and what it hides from some view
@@ -64,7 +82,9 @@ def test_exact_depth_gives_the_captured_view(label):
 
 
 def test_ours_finds_the_surface():
-    """The fused depth is the exact depth of wall and square within a tenth of the truncation distance, edges apart."""
+    """The fused depth is the exact depth of wall and square within a tenth of the truncation
+    distance, edges apart.
+    """
     _, depth = look(TARGET)
 
     fused = GeometryGuided().step(instant(0, TARGET, SOURCES)).depth
@@ -74,7 +94,9 @@ def test_ours_finds_the_surface():
 
 
 def test_a_moving_target_keeps_its_history_in_place():
-    """When the target camera moves, the previous depth takes part at its own pose: the fused depth stays exact."""
+    """When the target camera moves, the previous depth takes part at its own pose: the fused depth
+    stays exact.
+    """
     method = GeometryGuided()
     for t, x in enumerate((0.0, 0.05, 0.1)):
         target = camera_at(x, name="moving")
@@ -84,17 +106,23 @@ def test_a_moving_target_keeps_its_history_in_place():
 
 
 def test_a_skipped_instant_starts_history_anew():
-    """After a gap in time the method renders as if it had just begun: stale history is worse than none."""
+    """After a gap in time the method renders as if it had just begun: stale history is worse than
+    none.
+    """
     method = GeometryGuided()
     method.step(instant(0, TARGET, SOURCES, 0.0))
 
     late = method.step(instant(5, TARGET, SOURCES, 0.4)).image
 
-    np.testing.assert_array_equal(late, GeometryGuided().step(instant(5, TARGET, SOURCES, 0.4)).image)
+    np.testing.assert_array_equal(
+        late, GeometryGuided().step(instant(5, TARGET, SOURCES, 0.4)).image
+    )
 
 
 def test_still_pixels_get_beta_and_moving_ones_get_one():
-    """Eq. 1: an unchanged image has mask beta everywhere; a change of 0.4 lambda or more saturates."""
+    """Eq. 1: an unchanged image has mask beta everywhere; a change of 0.4 lambda or more
+    saturates.
+    """
     before = np.full((64, 64, 3), 100, np.uint8)
     after = before.copy()
     after[:32] = 100 + 75  # 75 / 255 = 0.294 > 0.28
@@ -103,7 +131,9 @@ def test_still_pixels_get_beta_and_moving_ones_get_one():
 
     assert mask[48:].min() == mask[48:].max() == np.float32(0.6)
     assert mask[:24].min() == 1.0
-    np.testing.assert_allclose(difference_mask(before + 36, before), 36 / 255 / 0.7 + 0.6, atol=1e-6)
+    np.testing.assert_allclose(
+        difference_mask(before + 36, before), 36 / 255 / 0.7 + 0.6, atol=1e-6
+    )
 
 
 def test_filtered_depth_mixes_by_the_mask():
@@ -116,7 +146,9 @@ def test_filtered_depth_mixes_by_the_mask():
 
 
 def test_the_filter_converges_on_the_mean_of_noisy_depth():
-    """In a still scene the filtered depth has less noise than what goes in: by sqrt(beta / (2 - beta)) in the steady state."""
+    """In a still scene the filtered depth has less noise than what goes in: by sqrt(beta / (2 -
+    beta)) in the steady state.
+    """
     random = np.random.default_rng(0)
     filters, image = TemporalDepthFilter(), np.full((40, 40, 3), 90, np.uint8)
     for t in range(20):
@@ -128,13 +160,21 @@ def test_the_filter_converges_on_the_mean_of_noisy_depth():
 
 @pytest.mark.parametrize("gap", [0, 2])
 def test_the_filter_knows_the_instant_before_alone(gap):
-    """Depth of two instants ago, or of the same one, is no history: the new depth passes as it is, and no change is known."""
-    filters, image, ones = TemporalDepthFilter(), np.full((8, 12, 3), 90, np.uint8), np.ones((8, 12), np.float32)
+    """Depth of two instants ago, or of the same one, is no history: the new depth passes as it is,
+    and no change is known.
+    """
+    filters, image, ones = (
+        TemporalDepthFilter(),
+        np.full((8, 12, 3), 90, np.uint8),
+        np.ones((8, 12), np.float32),
+    )
     filters.step(3, SourceView(TARGET, image, 2.0 * ones, ones))
     source, change = filters.step(3 + gap, SourceView(TARGET, image, 2.05 * ones, ones))
     np.testing.assert_array_equal(source.depth, 2.05 * ones)
     assert change is None
-    np.testing.assert_allclose(filters.step(4 + gap, SourceView(TARGET, image, 2.0 * ones, ones))[0].depth, 2.02, rtol=1e-6)
+    np.testing.assert_allclose(
+        filters.step(4 + gap, SourceView(TARGET, image, 2.0 * ones, ones))[0].depth, 2.02, rtol=1e-6
+    )
 
 
 def test_an_unknown_method_names_the_nearest():
@@ -145,8 +185,14 @@ def test_an_unknown_method_names_the_nearest():
 
 
 def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
-    """It cannot tell what moves: where nothing does the gain stays within a tenth, and the picture changes by less than noise."""
-    rig, target, gains = [camera_at(x) for x in (-0.3, -0.1, 0.1, 0.3)], camera_at(0.0, name="target"), []
+    """It cannot tell what moves: where nothing does the gain stays within a tenth, and the picture
+    changes by less than noise.
+    """
+    rig, target, gains = (
+        [camera_at(x) for x in (-0.3, -0.1, 0.1, 0.3)],
+        camera_at(0.0, name="target"),
+        [],
+    )
     march = geometry_guided.ray_march
 
     def watched(*arguments, previous=None, **options):
@@ -157,10 +203,18 @@ def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
     method, images, sigma = GeometryGuided(), [], 2.0
     for index in range(10):
         chosen = rig[:3] if index < 8 else rig[1:]
-        plain, random = instant(index, target, chosen, depth_noise=0.005), np.random.default_rng([index, 3])
-        noise = [np.rint(view.image + random.normal(0, sigma, view.image.shape)) for view in plain.sources]
+        plain, random = (
+            instant(index, target, chosen, depth_noise=0.005),
+            np.random.default_rng([index, 3]),
+        )
+        noise = [
+            np.rint(view.image + random.normal(0, sigma, view.image.shape))
+            for view in plain.sources
+        ]
         sources = zip(plain.sources, noise, strict=True)
-        noisy = tuple(replace(view, image=image.clip(0, 255).astype(np.uint8)) for view, image in sources)
+        noisy = tuple(
+            replace(view, image=image.clip(0, 255).astype(np.uint8)) for view, image in sources
+        )
         images.append(255 * method.step(replace(plain, sources=noisy)).image)
     assert gains[8] == pytest.approx(gains[7], rel=0.1)
     assert np.sqrt(np.mean((images[8] - images[7]) ** 2)) < sigma
@@ -168,7 +222,9 @@ def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1)])
 def test_images_of_one_pixel(size):
-    """One pixel wide or high is rendered; one pixel alone is an error that says so, where images are looked up."""
+    """One pixel wide or high is rendered; one pixel alone is an error that says so, where images
+    are looked up.
+    """
     target, sources = (
         camera_at(0.0, name="target", width=7, height=7),
         [camera_at(x, width=size[0], height=size[1]) for x in (-0.1, 0.1)],
@@ -183,7 +239,9 @@ def test_images_of_one_pixel(size):
 
 
 def test_colours_are_colours():
-    """What a wide change beside a pixel takes off it leaves no value below 0: a white half turns black where nothing moves."""
+    """What a wide change beside a pixel takes off it leaves no value below 0: a white half turns
+    black where nothing moves.
+    """
     pictures = np.zeros((2, TARGET.height, TARGET.width, 3), np.float32)
     pictures[0, :, : TARGET.width // 2] = 1
 

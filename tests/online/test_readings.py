@@ -33,7 +33,9 @@ def view_from(camera: Camera) -> SourceView:
 
 
 def test_points_in_their_own_camera_are_the_image():
-    """Points seen from where they come from are the source itself: colour and depth exact, nothing uncovered."""
+    """Points seen from where they come from are the source itself: colour and depth exact, nothing
+    uncovered.
+    """
     source = view_from(TARGET)
 
     seen = splat_points(source, TARGET, near=0.5)
@@ -44,7 +46,9 @@ def test_points_in_their_own_camera_are_the_image():
 
 
 def test_the_nearest_point_of_a_pixel_is_seen():
-    """Of two points that fall into one pixel the nearer is seen, whichever comes first; unknown depth gives none."""
+    """Of two points that fall into one pixel the nearer is seen, whichever comes first; unknown
+    depth gives none.
+    """
     small = camera_at(0.0, width=4, height=2).resized(2, 1)
     depth = np.array([[4.0, 2.0, 0.0, 3.0], [0.0, 0.0, 0.0, 0.0]], np.float32)
     features = np.arange(8, dtype=np.float32).reshape(2, 4, 1)
@@ -68,7 +72,9 @@ def test_points_at_or_before_the_near_plane_are_left_out():
 
 @pytest.mark.slow
 def test_the_slow_march_is_the_fast_one_in_our_reading():
-    """With our reading both marches find the same surface, with a previous depth in the field too."""
+    """With our reading both marches find the same surface, with a previous depth in the
+    field too.
+    """
     views = weighted_depths(0.7)
     previous = ray_march(camera_at(0.03), *weighted_depths(), tau=TAU)
     gain = np.full((TARGET.height, TARGET.width), 0.4, np.float32)
@@ -77,7 +83,9 @@ def test_the_slow_march_is_the_fast_one_in_our_reading():
     for before in (None, held):
         fast = ray_march(TARGET, *views, tau=TAU, previous=before)
         slow = printed_march(TARGET, *views, tau=TAU, previous=before, reading=FieldReading())
-        close = (np.abs(fast.depth - slow.depth) < 0.02 * TAU) & (np.abs(fast.weight - slow.weight) < 1e-3)
+        close = (np.abs(fast.depth - slow.depth) < 0.02 * TAU) & (
+            np.abs(fast.weight - slow.weight) < 1e-3
+        )
         assert close.mean() > 0.99
 
 
@@ -85,7 +93,11 @@ def test_masks_of_several_views_become_one():
     """The largest of the masks that cover a pixel, or their mean; 1 where none covers it."""
     alphas, masks = ([0.9, 0.9, 0.2], [0.9, 0.2, 0.2]), ([0.6, 0.6, 0.6], [1.0, 0.7, 0.9])
     splats = [
-        Splat(np.float32([[[0, 0, 0, value] for value in mask]]), np.float32([alpha]), np.ones((1, 3), np.float32))
+        Splat(
+            np.float32([[[0, 0, 0, value] for value in mask]]),
+            np.float32([alpha]),
+            np.ones((1, 3), np.float32),
+        )
         for alpha, mask in zip(alphas, masks, strict=True)
     ]
 
@@ -95,7 +107,9 @@ def test_masks_of_several_views_become_one():
 
 def test_a_mask_of_zero_is_a_mask():
     """With a least weight of 0 what stands still has the mask 0, and is covered nevertheless."""
-    splat = Splat(np.zeros((1, 2, 4), np.float32), np.float32([[0.9, 0.2]]), np.ones((1, 2), np.float32))
+    splat = Splat(
+        np.zeros((1, 2, 4), np.float32), np.float32([[0.9, 0.2]]), np.ones((1, 2), np.float32)
+    )
     for views in ("largest", "mean"):
         np.testing.assert_array_equal(target_mask([splat], views), [[0.0, 1.0]])
 
@@ -106,14 +120,21 @@ def test_channels_of_a_difference_become_one():
     after = before + np.array([60, 0, 0], np.uint8)
 
     np.testing.assert_allclose(difference_mask(after, before), 60 / 255 / 0.7 + 0.6, atol=1e-6)
-    np.testing.assert_allclose(difference_mask(after, before, channels="mean"), 20 / 255 / 0.7 + 0.6, atol=1e-6)
+    np.testing.assert_allclose(
+        difference_mask(after, before, channels="mean"), 20 / 255 / 0.7 + 0.6, atol=1e-6
+    )
 
 
 def test_holes_stay_black_without_background():
-    """What a camera far to the side does not show is black without background blending and filled with it; the rest is equal."""
+    """What a camera far to the side does not show is black without background blending and filled
+    with it; the rest is equal.
+    """
     only = [camera_at(0.8)]
     images = {
-        on: GeometryGuided(None, GeometricBlender(background=on)).step(instant(0, TARGET, only)).image for on in (True, False)
+        on: GeometryGuided(None, GeometricBlender(background=on))
+        .step(instant(0, TARGET, only))
+        .image
+        for on in (True, False)
     }
     shown = splat(instant(0, TARGET, only).sources, TARGET, near=0.5).alpha
     holes = shown < 0.4
@@ -125,13 +146,20 @@ def test_holes_stay_black_without_background():
 
 
 def test_a_label_may_set_options():
-    """`ours-geometric+beta_temporal=0.6+mask_views=mean` is the method with these two options, and says so."""
+    """`ours-geometric+beta_temporal=0.6+mask_views=mean` is the method with these two options, and
+    says so.
+    """
     spec = find_method("ours-geometric+beta_temporal=0.6+mask_views=mean+normalised_field=false")
 
     method = spec.make()
     assert isinstance(method, GeometryGuided)
-    assert method.options == OnlineOptions(beta_temporal=0.6, mask_views="mean", normalised_field=False)
-    assert spec.title == "GGVS (online), geometric weights, beta_temporal=0.6, mask_views=mean, normalised_field=false"
+    assert method.options == OnlineOptions(
+        beta_temporal=0.6, mask_views="mean", normalised_field=False
+    )
+    assert (
+        spec.title == "GGVS (online), geometric weights, beta_temporal=0.6, mask_views=mean, "
+        "normalised_field=false"
+    )
     assert spec.ours
 
 
@@ -146,7 +174,9 @@ def test_a_label_may_set_options():
     ],
 )
 def test_options_that_are_none_are_refused(label, message):
-    """A mistyped option, a value of the wrong kind, or a method that has none is refused in one line."""
+    """A mistyped option, a value of the wrong kind, or a method that has none is refused in one
+    line.
+    """
     with pytest.raises(RenderError, match=message) as caught:
         find_method(label)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,6 @@
-"""The recurrent output: noise averages out where nothing moves; motion, light and a moved camera leave no trace of the past."""
+"""The recurrent output: noise averages out where nothing moves; motion, light and a moved camera
+leave no trace of the past.
+"""
 
 from dataclasses import replace
 
@@ -23,9 +25,13 @@ NOTHING_MOVES = np.ones(CELLS, np.float32)
 NOISE = 2 / 255
 
 
-@pytest.mark.parametrize(("limit", "instants", "left"), [(0.85, 4, 0.5), (0.5, 12, np.sqrt(0.5 / 1.5))])
+@pytest.mark.parametrize(
+    ("limit", "instants", "left"), [(0.85, 4, 0.5), (0.5, 12, np.sqrt(0.5 / 1.5))]
+)
 def test_noise_averages_out_up_to_the_limit(limit, instants, left):
-    """Below its limit the weight of the past makes a plain mean; in the long run it is a first-order filter of that weight."""
+    """Below its limit the weight of the past makes a plain mean; in the long run it is a
+    first-order filter of that weight.
+    """
     random, recurrent = np.random.default_rng(0), RecurrentOutput(limit)
     for index in range(instants):
         noise = random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32)
@@ -54,7 +60,9 @@ def test_cells_that_do_not_fit_are_refused():
 
 
 def test_what_moves_is_shown_as_it_is():
-    """Where the sources see motion the output is the new image to the last bit, and the past begins anew."""
+    """Where the sources see motion the output is the new image to the last bit, and the past begins
+    anew.
+    """
     recurrent, still = RecurrentOutput(0.85), NOTHING_MOVES.copy()
     still[:9] = 0
     grey = np.full((*SIZE, 3), 0.5, np.float32)
@@ -70,11 +78,18 @@ def test_what_moves_is_shown_as_it_is():
 
 
 def test_slow_light_does_not_lag():
-    """Light that rises by a level per instant is no motion; it is followed to half a level while noise is averaged."""
+    """Light that rises by a level per instant is no motion; it is followed to half a level while
+    noise is averaged.
+    """
     recurrent, random = RecurrentOutput(0.85), np.random.default_rng(0)
     for index in range(20):
         light = np.float32(0.3 + index / 255)
-        output = recurrent.step(index, TARGET, light + random.normal(0, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
+        output = recurrent.step(
+            index,
+            TARGET,
+            light + random.normal(0, NOISE, (*SIZE, 3)).astype(np.float32),
+            NOTHING_MOVES,
+        )
 
     assert abs(float(output.mean() - light)) < 0.5 / 255
     assert output.std() < 0.5 * NOISE
@@ -82,7 +97,11 @@ def test_slow_light_does_not_lag():
 
 @pytest.mark.parametrize(
     ("index", "target"),
-    [(2, TARGET), (1, camera_at(0.05)), (1, replace(TARGET, K=TARGET.K * np.array([[1.1], [1.1], [1.0]])))],
+    [
+        (2, TARGET),
+        (1, camera_at(0.05)),
+        (1, replace(TARGET, K=TARGET.K * np.array([[1.1], [1.1], [1.0]]))),
+    ],
     ids=["gap", "moved", "zoomed"],
 )
 def test_the_past_counts_from_the_same_view_alone(index, target):
@@ -95,7 +114,9 @@ def test_the_past_counts_from_the_same_view_alone(index, target):
 
 
 def test_the_mean_of_noise_agrees_with_what_is_new_and_one_that_drags_does_not():
-    """Noise of any strength in means of one to twelve images is sure, a texture that the mean lags behind by a pixel is not."""
+    """Noise of any strength in means of one to twelve images is sure, a texture that the mean lags
+    behind by a pixel is not.
+    """
     random = np.random.default_rng(3)
     texture = cv2.GaussianBlur(random.normal(0, 0.3, (72, 97, 3)).astype(np.float32), (0, 0), 2)
     for sigma in (1e-3, 1e-2, 1e-1):

@@ -1,4 +1,6 @@
-"""The learned method where promises are easily broken: small pictures, cameras that see nothing, odd units."""
+"""The learned method where promises are easily broken: small pictures, cameras that see nothing,
+odd units.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -22,12 +24,16 @@ SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 
 @cache
 def score(method: str, number: int, blind: bool = False) -> float:
-    """PSNR of the view of one camera from the three nearest others, and from one that looks the other way and is nearer."""
+    """PSNR of the view of one camera from the three nearest others, and from one that looks the
+    other way and is nearer.
+    """
     folder = FILMS_FOLDER / "small"
     capture = open_capture(folder)
     target, truth = capture.cameras[number], capture.frame(capture.camera_names[number], 0)
     views = []
-    for camera in nearest_cameras(target, [camera for camera in capture.cameras if camera is not target], 3):
+    for camera in nearest_cameras(
+        target, [camera for camera in capture.cameras if camera is not target], 3
+    ):
         depth = read_exact_depth(folder, camera.name, 0)
         views.append(SourceView(camera, capture.frame(camera.name, 0), depth, np.ones_like(depth)))
     if blind:
@@ -35,7 +41,15 @@ def score(method: str, number: int, blind: bool = False) -> float:
         turned[:3] = np.diag([-1.0, 1.0, -1.0]) @ turned[:3]
         picture = np.random.default_rng(0).integers(0, 255, truth.shape, dtype=np.uint8)
         depth = np.full(truth.shape[:2], (target.near * target.far) ** 0.5, np.float32)
-        views.insert(0, SourceView(replace(target, name="blind", world_to_camera=turned), picture, depth, np.ones_like(depth)))
+        views.insert(
+            0,
+            SourceView(
+                replace(target, name="blind", world_to_camera=turned),
+                picture,
+                depth,
+                np.ones_like(depth),
+            ),
+        )
     seen = Instant(0, replace(target, name="target"), tuple(views), capture.units_per_metre)
     return psnr_db(find_method(method).make().step(seen).image, truth)
 
@@ -48,16 +62,24 @@ def test_small_pictures_are_no_worse_than_geometric_weights():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_camera_that_sees_nothing_costs_nothing(method):
-    """A source nearer than all others that looks the other way costs .1 dB at most: it has no place among the views."""
+    """A source nearer than all others that looks the other way costs .1 dB at most: it has no place
+    among the views.
+    """
     for number in (1, 4):
         assert score(method, number, blind=True) > score(method, number) - 0.1
 
 
 @pytest.mark.parametrize(("method", "least_db"), list(zip(METHODS, (44, 49), strict=True)))
 def test_a_source_next_to_the_target_is_shown(method, least_db):
-    """Though its depth is a tenth too large: nearly as it is, where Distance-based Blending has 28 dB."""
+    """Though its depth is a tenth too large: nearly as it is, where Distance-based Blending has 28
+    dB.
+    """
     for share in (0.0, 0.02):
-        seen = instant(0, camera_at(-0.25 * share, 0.1 * share, "target"), [camera_at(0.0), *SOURCES[2:], camera_at(0, 0.5)])
+        seen = instant(
+            0,
+            camera_at(-0.25 * share, 0.1 * share, "target"),
+            [camera_at(0.0), *SOURCES[2:], camera_at(0, 0.5)],
+        )
         nearest, *others = seen.sources
         wrong = replace(nearest, depth=nearest.depth * np.float32(1.1))
         image = find_method(method).make().step(replace(seen, sources=(wrong, *others))).image
@@ -70,10 +92,20 @@ def scaled(seen: Instant, factor: float) -> Instant:
     def moved(camera: Camera) -> Camera:
         pose = camera.world_to_camera.copy()
         pose[:3, 3] *= factor
-        return replace(camera, world_to_camera=pose, near=camera.near * factor, far=camera.far * factor)
+        return replace(
+            camera, world_to_camera=pose, near=camera.near * factor, far=camera.far * factor
+        )
 
-    views = [replace(view, camera=moved(view.camera), depth=view.depth * np.float32(factor)) for view in seen.sources]
-    return replace(seen, target=moved(seen.target), sources=tuple(views), units_per_metre=seen.units_per_metre * factor)
+    views = [
+        replace(view, camera=moved(view.camera), depth=view.depth * np.float32(factor))
+        for view in seen.sources
+    ]
+    return replace(
+        seen,
+        target=moved(seen.target),
+        sources=tuple(views),
+        units_per_metre=seen.units_per_metre * factor,
+    )
 
 
 @pytest.mark.parametrize("factor", [2.0**-30, 2.0**-20, 2.0**30])

@@ -11,7 +11,9 @@ from helpers.scenes import camera_at
 
 @pytest.mark.parametrize("row", [0, 1])
 def test_one_focal_length_that_is_no_number_of_pixels_is_enough(row):
-    """A row of K that was not multiplied by the width or the height is named with the focal lengths."""
+    """A row of K that was not multiplied by the width or the height is named with the focal
+    lengths.
+    """
     camera = camera_at(0.0)
     K = camera.K.copy()
     K[row] /= camera.size[row]

@@ -1,4 +1,6 @@
-"""Renders as people send them: other names for the same lists, views in flat names, archives of macOS and Windows."""
+"""Renders as people send them: other names for the same lists, views in flat names, archives of
+macOS and Windows.
+"""
 
 import zipfile
 from collections.abc import Callable
@@ -14,34 +16,55 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder, frame_path
-from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_flat, write_folders
+from helpers.render_folders import (
+    FRAMES,
+    VIEWS,
+    make_run,
+    rendered,
+    truth,
+    write_flat,
+    write_folders,
+)
 
 
 def slightly_other(image: Image8) -> Image8:
     """A copy of the truth by another decoder."""
-    return np.clip(image.astype(int) + np.random.default_rng(1).integers(-2, 3, image.shape), 0, 255).astype(np.uint8)
+    return np.clip(
+        image.astype(int) + np.random.default_rng(1).integers(-2, 3, image.shape), 0, 255
+    ).astype(np.uint8)
 
 
-def write_ns_render(folder: Path, above: str = "test", names: tuple[str, str] = ("rgb", "gt-rgb")) -> Path:
-    """``ns-render dataset``: counted from 1, instant after instant, beside depth and the train set."""
+def write_ns_render(
+    folder: Path, above: str = "test", names: tuple[str, str] = ("rgb", "gt-rgb")
+) -> Path:
+    """``ns-render dataset``: counted from 1, instant after instant, beside depth and the
+    train set.
+    """
     places = [(view, frame) for frame in FRAMES for view in VIEWS]
     for number, (view, frame) in enumerate(places, 1):
         write_image(folder / above / names[0] / f"frame_{number:05d}.png", rendered(view, frame))
-        write_image(folder / above / names[1] / f"frame_{number:05d}.png", slightly_other(truth(view, frame)))
+        write_image(
+            folder / above / names[1] / f"frame_{number:05d}.png",
+            slightly_other(truth(view, frame)),
+        )
         write_image(folder / above / "depth" / f"frame_{number:05d}.png", truth(view, frame))
         write_image(folder / "train" / names[0] / f"frame_{number:05d}.png", truth(view, frame))
         write_image(folder / "train" / names[1] / f"frame_{number:05d}.png", truth(view, frame))
     return folder
 
 
-def zip_files(folder: Path, archive: Path, rename: Callable[[str], str] = str, junk: bool = False) -> Path:
+def zip_files(
+    folder: Path, archive: Path, rename: Callable[[str], str] = str, junk: bool = False
+) -> Path:
     """A zip of a folder whose entries are renamed, with what macOS adds to it."""
     with zipfile.ZipFile(archive, "w") as packed:
         for file in sorted(each for each in folder.rglob("*") if each.is_file()):
             name = f"mine/{file.relative_to(folder).as_posix()}"
             packed.write(file, rename(name))
             if junk:
-                packed.writestr(f"__MACOSX/{Path(name).parent}/._{file.name}", b"\0\5\x16\7" + bytes(78))
+                packed.writestr(
+                    f"__MACOSX/{Path(name).parent}/._{file.name}", b"\0\5\x16\7" + bytes(78)
+                )
         if junk:
             packed.writestr("mine/.DS_Store", b"\0\0\0\1Bud1")
             packed.writestr("__MACOSX/._mine", b"\0\5\x16\7")
@@ -65,7 +88,9 @@ FIELD: dict[str, Callable[[Path], Path]] = {
     "flat names, frame first": lambda f: write_folders(f, pattern="{number:04d}_{view}.png"),
     "flat names, more words": lambda f: write_folders(f, pattern="render-{view}-frame{number}.png"),
     "zip of macOS": lambda f: zip_files(write_folders(f / "a"), f / "a.zip", junk=True),
-    "zip of PowerShell": lambda f: zip_files(write_folders(f / "a"), f / "a.zip", lambda name: name.replace("/", "\\")),
+    "zip of PowerShell": lambda f: zip_files(
+        write_folders(f / "a"), f / "a.zip", lambda name: name.replace("/", "\\")
+    ),
     "junk in folders": lambda f: with_junk(write_folders(f)),
 }
 
@@ -75,7 +100,8 @@ def write_plain_numbers(folder: Path) -> Path:
     write_flat(folder, places)
     for name in ("renders", "gt"):
         for file in sorted((folder / name).iterdir()):
-            file.rename(file.with_name(f"{int(file.stem) + 7}.png"))  # 7..12: by letters 10 comes first
+            # 7..12: by letters 10 comes first
+            file.rename(file.with_name(f"{int(file.stem) + 7}.png"))
     return folder
 
 
@@ -87,7 +113,10 @@ def test_renders_of_the_field_arrive_bit_for_bit(case, truth_run, tmp_path):
     assert record["partial"] == ""
     for view in VIEWS:
         for frame in FRAMES:
-            np.testing.assert_array_equal(read_image(frame_path(truth_run.renders("mine", view), frame)), rendered(view, frame))
+            np.testing.assert_array_equal(
+                read_image(frame_path(truth_run.renders("mine", view), frame)),
+                rendered(view, frame),
+            )
 
 
 def refusal(run: RunFolder, path: Path) -> str:
@@ -107,7 +136,9 @@ def test_two_pictures_in_one_are_named(axis, words, truth_run, tmp_path):
     for view in VIEWS:
         for frame in FRAMES:
             write_image(folder / view / f"{frame:04d}.png", beside_truth(view, frame, axis))
-        write_video(films / f"{view}.mp4", (beside_truth(view, frame, axis) for frame in FRAMES), 30.0)
+        write_video(
+            films / f"{view}.mp4", (beside_truth(view, frame, axis) for frame in FRAMES), 30.0
+        )
 
     assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(truth_run, folder)
     assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(truth_run, films)
@@ -123,7 +154,9 @@ def test_flat_names_that_tell_two_things_are_not_guessed(truth_run, tmp_path):
         write_image(folder / name, rendered("cam00", 2))
 
     message = refusal(truth_run, folder)
-    assert "fits no view and frame: cam00_0002_0003.png; cam00_cam02_0002.png; preview.png" in message
+    assert (
+        "fits no view and frame: cam00_0002_0003.png; cam00_cam02_0002.png; preview.png" in message
+    )
 
 
 def test_one_archive_under_two_spellings_is_no_hole(truth_run, tmp_path):
@@ -165,9 +198,14 @@ def test_links_in_circles_end(truth_run, tmp_path):
     assert import_renders(truth_run, "mine", folder)["partial"] == ""
 
 
-@pytest.mark.parametrize("write", [write_folders, lambda folder: write_folders(folder, pattern="{view}_{number:04d}.png")])
+@pytest.mark.parametrize(
+    "write",
+    [write_folders, lambda folder: write_folders(folder, pattern="{view}_{number:04d}.png")],
+)
 def test_suffixes_and_umlauts_are_compared_as_they_look(write, tmp_path):
-    """A view called Tür, whose renders came from a Mac with the umlaut in two characters and the suffix in capitals."""
+    """A view called Tür, whose renders came from a Mac with the umlaut in two characters and the
+    suffix in capitals.
+    """
     run = make_run(tmp_path / "run")
     for folder in (run.root / "truth", write(tmp_path / "theirs")):
         for entry in sorted(folder.rglob("*"), key=lambda each: -len(each.parts)):

@@ -1,4 +1,6 @@
-"""Archives and arrays whose author is an enemy: refused in one line, nothing written outside, nothing run."""
+"""Archives and arrays whose author is an enemy: refused in one line, nothing written outside,
+nothing run.
+"""
 
 import io
 import os
@@ -23,7 +25,9 @@ LIMITS = Limits(n_files=20, n_bytes=100_000)
 Writer = Callable[[Path], None]
 
 
-def zipped(*members: tuple[str | zipfile.ZipInfo, bytes], method: int = zipfile.ZIP_DEFLATED) -> Writer:
+def zipped(
+    *members: tuple[str | zipfile.ZipInfo, bytes], method: int = zipfile.ZIP_DEFLATED
+) -> Writer:
     def write(path: Path) -> None:
         with zipfile.ZipFile(path, "w", method) as packed:
             for name, content in members:
@@ -93,7 +97,11 @@ HOSTILE: dict[str, tuple[str, Writer, str]] = {
     "zip with backslashes": (".zip", zipped(("..\\evil", b"x")), OUTSIDE),
     "zip with a drive": (".zip", zipped(("C:evil", b"x")), OUTSIDE),
     "zip with a link": (".zip", zipped((zip_link("a"), b"/etc"), ("a/passwd", b"x")), PLAIN),
-    "zip with one name twice": (".zip", zipped(("a.png", b"x"), ("./a.png", b"y")), "holds 'a.png' twice"),
+    "zip with one name twice": (
+        ".zip",
+        zipped(("a.png", b"x"), ("./a.png", b"y")),
+        "holds 'a.png' twice",
+    ),
     "zip with a file as folder": (".zip", zipped(("a", b"x"), ("a/b", b"y")), "cannot be unpacked"),
     "zip bomb": (".zip", zipped(("a.png", b"\0" * 200_000)), TOO_MUCH),
     "zip bomb in parts": (".zip", zipped(*((f"{i}", b"\0" * 9_000) for i in range(15))), TOO_MUCH),
@@ -104,20 +112,44 @@ HOSTILE: dict[str, tuple[str, Writer, str]] = {
     "half a zip": (".zip", cut(zipped(("a.png", b"x" * 50)), 0.5), "cannot be unpacked"),
     "no zip": (".zip", lambda path: path.write_text("hello") and None, "cannot be unpacked"),
     "tar with ..": (".tar.gz", tarred((file("../evil"), b"")), OUTSIDE),
-    "tar with an absolute path": (".tar.gz", tarred((file("/tmp/ggvs-eval-hostile-test"), b"")), OUTSIDE),
-    "tar with a link": (".tar.gz", tarred((special("a", tarfile.SYMTYPE, "/etc"), b""), (file("a/evil"), b"")), PLAIN),
-    "tar with a hard link": (".tgz", tarred((special("a", tarfile.LNKTYPE, "/etc/passwd"), b"")), PLAIN),
+    "tar with an absolute path": (
+        ".tar.gz",
+        tarred((file("/tmp/ggvs-eval-hostile-test"), b"")),
+        OUTSIDE,
+    ),
+    "tar with a link": (
+        ".tar.gz",
+        tarred((special("a", tarfile.SYMTYPE, "/etc"), b""), (file("a/evil"), b"")),
+        PLAIN,
+    ),
+    "tar with a hard link": (
+        ".tgz",
+        tarred((special("a", tarfile.LNKTYPE, "/etc/passwd"), b"")),
+        PLAIN,
+    ),
     "tar with a device": (".tar.gz", tarred((special("a", tarfile.CHRTYPE), b"")), PLAIN),
     "tar with a pipe": (".tar", tarred((special("a", tarfile.FIFOTYPE), b""), mode="w"), PLAIN),
-    "tar with one name twice": (".tar.gz", tarred((file("a"), b""), (file("a"), b"")), "holds 'a' twice"),
-    "tar bomb": (".tar.gz", tarred((special("a", tarfile.REGTYPE, n_bytes=200_000), b"\0" * 200_000)), TOO_MUCH),
+    "tar with one name twice": (
+        ".tar.gz",
+        tarred((file("a"), b""), (file("a"), b"")),
+        "holds 'a' twice",
+    ),
+    "tar bomb": (
+        ".tar.gz",
+        tarred((special("a", tarfile.REGTYPE, n_bytes=200_000), b"\0" * 200_000)),
+        TOO_MUCH,
+    ),
     "tar that claims a terabyte": (
         ".tar",
         lambda p: p.write_bytes(special("a", tarfile.REGTYPE, "", 1 << 40).tobuf()) and None,
         TOO_MUCH,
     ),
     "tar with a long header": (".tar", long_header, TOO_MUCH),
-    "tar of too many files": (".tar.gz", tarred(*((file(f"{i}"), b"") for i in range(30))), TOO_MUCH),
+    "tar of too many files": (
+        ".tar.gz",
+        tarred(*((file(f"{i}"), b"") for i in range(30))),
+        TOO_MUCH,
+    ),
     "half a tar.gz": (
         ".tar.gz",
         cut(tarred((special("a", tarfile.REGTYPE, n_bytes=5000), os.urandom(5000))), 0.5),
@@ -129,7 +161,9 @@ HOSTILE: dict[str, tuple[str, Writer, str]] = {
 
 @pytest.mark.parametrize("case", HOSTILE)
 def test_a_hostile_archive_is_refused(case, tmp_path):
-    """Whatever leads outside, is no plain file, comes twice or grows is refused, and nothing lies outside the folder."""
+    """Whatever leads outside, is no plain file, comes twice or grows is refused, and nothing lies
+    outside the folder.
+    """
     suffix, write, message = HOSTILE[case]
     archive, folder = tmp_path / f"theirs{suffix}", tmp_path / "deep" / "folder"
     write(archive)
@@ -140,7 +174,11 @@ def test_a_hostile_archive_is_refused(case, tmp_path):
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert sum(item.stat().st_size for item in folder.rglob("*")) <= LIMITS.n_bytes
-    assert sorted(item.name for item in tmp_path.rglob("*") if folder not in item.parents) == ["deep", "folder", archive.name]
+    assert sorted(item.name for item in tmp_path.rglob("*") if folder not in item.parents) == [
+        "deep",
+        "folder",
+        archive.name,
+    ]
     assert not Path("/tmp/ggvs-eval-hostile-test").exists()
 
 
@@ -156,13 +194,17 @@ def test_a_refused_archive_leaves_nothing_in_the_run(tmp_path):
 
 
 def test_what_fits_the_limits_is_unpacked(tmp_path):
-    """An archive just within the limits comes out whole, its single folder being what is given back."""
+    """An archive just within the limits comes out whole, its single folder being what is given
+    back.
+    """
     zipped(*((f"top/{i}.bin", bytes([i]) * 5000) for i in range(20)))(tmp_path / "theirs.zip")
 
     root = unpack(tmp_path / "theirs.zip", tmp_path / "folder", LIMITS, RenderError)
 
     assert root == tmp_path / "folder" / "top"
-    assert [(root / f"{i}.bin").read_bytes() for i in range(20)] == [bytes([i]) * 5000 for i in range(20)]
+    assert [(root / f"{i}.bin").read_bytes() for i in range(20)] == [
+        bytes([i]) * 5000 for i in range(20)
+    ]
 
 
 class Trap:
@@ -190,11 +232,15 @@ def write_trap(folder: Path, form: str, marker: Path) -> Path:
 
 @pytest.mark.parametrize("form", ["npy", "npz", "bare pickle"])
 def test_nothing_is_unpickled(form, tmp_path):
-    """An array of objects, or a pickle called .npy, is refused unread; what it would run does not run."""
+    """An array of objects, or a pickle called .npy, is refused unread; what it would run does not
+    run.
+    """
     marker = tmp_path / "marker"
 
     with pytest.raises(RenderError, match=r"wanted (an array of )?numbers"):
-        import_renders(make_run(tmp_path / "run"), "mine", write_trap(tmp_path / "theirs", form, marker))
+        import_renders(
+            make_run(tmp_path / "run"), "mine", write_trap(tmp_path / "theirs", form, marker)
+        )
 
     assert not marker.exists()
 

@@ -37,7 +37,10 @@ from helpers.render_folders import (
 
 def largest_difference(run: RunFolder) -> int:
     """Between what was rendered and what lies in the run, over all views and frames."""
-    pairs = [(read_image(frame_path(run.renders("mine", v), t)).astype(int), rendered(v, t)) for v, t in view_major()]
+    pairs = [
+        (read_image(frame_path(run.renders("mine", v), t)).astype(int), rendered(v, t))
+        for v, t in view_major()
+    ]
     assert sum(1 for _ in (run.root / "renders" / "mine").rglob("*.png")) == len(pairs)
     return max(int(np.abs(image - wanted).max()) for image, wanted in pairs)
 
@@ -98,17 +101,53 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         "<view>/<frame>.png",
         "frames of 0-6, the whole capture, 2-4 are used",
     ),
-    "a run folder": (write_other_run, "a run folder", "frames of a run folder are numbered by instant"),
-    "uint8 arrays": (lambda f: write_arrays(f, "uint8", ".npy"), "one array per view", "in order, as the instants 2-4"),
-    "float arrays": (lambda f: write_arrays(f, "float32", ".npy"), "one array per view", "rounded to 8 bit"),
-    "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
+    "a run folder": (
+        write_other_run,
+        "a run folder",
+        "frames of a run folder are numbered by instant",
+    ),
+    "uint8 arrays": (
+        lambda f: write_arrays(f, "uint8", ".npy"),
+        "one array per view",
+        "in order, as the instants 2-4",
+    ),
+    "float arrays": (
+        lambda f: write_arrays(f, "float32", ".npy"),
+        "one array per view",
+        "rounded to 8 bit",
+    ),
+    "double arrays in npz": (
+        lambda f: write_arrays(f, "float64", ".npz"),
+        "one array per view",
+        "rounded to 8 bit",
+    ),
     "one npz": (write_one_npz, "one array per view", "in order"),
-    "one array of all views": (write_one_array, "one array per view", "its 2 stacks are taken for cam02, cam00"),
-    "flat, whose views are links": (write_linked, BESIDE_TRUTH, "gt/ agrees with the truth of the run"),
+    "one array of all views": (
+        write_one_array,
+        "one array per view",
+        "its 2 stacks are taken for cam02, cam00",
+    ),
+    "flat, whose views are links": (
+        write_linked,
+        BESIDE_TRUTH,
+        "gt/ agrees with the truth of the run",
+    ),
     "flat, view by view": (lambda f: write_flat(f, view_major()), BESIDE_TRUTH, "view after view"),
-    "flat, instant by instant": (lambda f: write_flat(f, by_frame), BESIDE_TRUTH, "instant after instant"),
-    "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), BESIDE_TRUTH, "cam00, cam02 in frames 2-4"),
-    "flat, the whole capture": (lambda f: write_flat(f, whole_capture), BESIDE_TRUTH, "8 pictures of other frames"),
+    "flat, instant by instant": (
+        lambda f: write_flat(f, by_frame),
+        BESIDE_TRUTH,
+        "instant after instant",
+    ),
+    "flat, by alphabet": (
+        lambda f: write_flat(f, by_alphabet),
+        BESIDE_TRUTH,
+        "cam00, cam02 in frames 2-4",
+    ),
+    "flat, the whole capture": (
+        lambda f: write_flat(f, whole_capture),
+        BESIDE_TRUTH,
+        "8 pictures of other frames",
+    ),
     "a 3DGS model folder": (
         lambda f: write_flat(f / "test" / "ours_30000", view_major()).parents[1],
         BESIDE_TRUTH,
@@ -116,8 +155,16 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     ),
     "a 4DGaussians model folder": (write_4dgaussians, BESIDE_TRUTH, "view after view"),
     "easyvolcap": (write_easyvolcap, "EasyVolcap output", "_gt pictures agree"),
-    "easyvolcap, a tag": (lambda f: write_easyvolcap(f / "ours_b").parent, "EasyVolcap output", "2 = cam02, 0 = cam00"),
-    "easyvolcap, renders alone": (lambda f: write_easyvolcap(f, False) / "RENDER", "EasyVolcap output", "no _gt pictures"),
+    "easyvolcap, a tag": (
+        lambda f: write_easyvolcap(f / "ours_b").parent,
+        "EasyVolcap output",
+        "2 = cam02, 0 = cam00",
+    ),
+    "easyvolcap, renders alone": (
+        lambda f: write_easyvolcap(f, False) / "RENDER",
+        "EasyVolcap output",
+        "no _gt pictures",
+    ),
     "easyvolcap, the whole capture": (
         lambda f: write_easyvolcap(f, False, range(N_FRAMES)),
         "EasyVolcap output",
@@ -129,7 +176,11 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         BESIDE_TRUTH,
         "agrees",
     ),
-    "nerfbaselines, flat names": (lambda f: write_nerfbaselines(f, "{view}_{frame:04d}.png"), BESIDE_TRUTH, "agrees"),
+    "nerfbaselines, flat names": (
+        lambda f: write_nerfbaselines(f, "{view}_{frame:04d}.png"),
+        BESIDE_TRUTH,
+        "agrees",
+    ),
     "nerfbaselines without views": (
         lambda f: pack_names(write_flat(f, view_major(), ("color", "gt-color"))),
         BESIDE_TRUTH,
@@ -140,8 +191,16 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         BESIDE_TRUTH,
         "no complete gt-color/",
     ),
-    "zip": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.zip")), f"{BESIDE_TRUTH} in an archive", "agrees"),
-    "tar.gz": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.tar.gz")), f"{BESIDE_TRUTH} in an archive", "agrees"),
+    "zip": (
+        lambda f: pack(write_nerfbaselines(f), f.with_name("a.zip")),
+        f"{BESIDE_TRUTH} in an archive",
+        "agrees",
+    ),
+    "tar.gz": (
+        lambda f: pack(write_nerfbaselines(f), f.with_name("a.tar.gz")),
+        f"{BESIDE_TRUTH} in an archive",
+        "agrees",
+    ),
     "zip of a folder in it": (
         lambda f: pack(write_folders(f / "results").parent, f.with_name("a.zip")),
         "<view>/<frame>.png in an archive",
@@ -157,7 +216,9 @@ def pack_names(folder: Path) -> Path:
 
 @pytest.mark.parametrize("case", EXACT)
 def test_lossless_renders_arrive_bit_for_bit(case, truth_run, tmp_path):
-    """Whatever the layout, every picture lands at its view and frame with its very values, and the record says how."""
+    """Whatever the layout, every picture lands at its view and frame with its very values, and the
+    record says how.
+    """
     write, kind, note = EXACT[case]
 
     record = import_renders(truth_run, "mine", write(tmp_path / "theirs"))
@@ -170,7 +231,9 @@ def test_lossless_renders_arrive_bit_for_bit(case, truth_run, tmp_path):
 
 
 def test_easyvolcap_of_another_capture_is_refused(truth_run, tmp_path):
-    """A copy of the truth that shows another camera, and a camera number that the capture lacks, are told."""
+    """A copy of the truth that shows another camera, and a camera number that the capture lacks,
+    are told.
+    """
     folder = write_easyvolcap(tmp_path / "theirs") / "RENDER"
     shutil.copy(folder / "frame0003_camera0002_gt.png", folder / "frame0003_camera0000_gt.png")
     with refused(RenderError, "frame0003_camera0000_gt.png", "frame 3 of cam00"):
@@ -191,17 +254,28 @@ def test_easyvolcap_with_several_tags_is_asked_for_one(truth_run, tmp_path):
 
 
 def test_a_video_of_another_rate_shows_other_instants(truth_run, tmp_path):
-    """Of another rate and number of frames, frame k is not instant k: both are named; equal numbers are taken in order."""
+    """Of another rate and number of frames, frame k is not instant k: both are named; equal numbers
+    are taken in order.
+    """
     fewer = range(FRAMES.start, FRAMES.stop - 1)
     with refused(RenderError, "24 frames per second", "the capture 30", "fps=30"):
         import_renders(truth_run, "mine", write_videos(tmp_path / "slow", fewer, fps=24.0))
-    assert import_renders(truth_run, "mine", write_videos(tmp_path / "same", FRAMES, fps=24.0))["partial"] == ""
+    assert (
+        import_renders(truth_run, "mine", write_videos(tmp_path / "same", FRAMES, fps=24.0))[
+            "partial"
+        ]
+        == ""
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"])
+@pytest.mark.parametrize(
+    "frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"]
+)
 def test_a_video_per_view_is_decoded_to_its_frames(frames, truth_run, tmp_path):
-    """A video of the protocol's frames or of the whole capture gives each frame at its instant, but for its coding."""
+    """A video of the protocol's frames or of the whole capture gives each frame at its instant, but
+    for its coding.
+    """
     record = import_renders(truth_run, "mine", write_videos(tmp_path / "theirs", frames), workers=2)
 
     for view, frame in view_major():
@@ -219,14 +293,23 @@ def test_jpeg_is_decoded_once_and_said(truth_run, tmp_path):
     record = import_renders(truth_run, "mine", tmp_path / "theirs")
 
     file = frame_path(truth_run.renders("mine", "cam00"), 3)
-    np.testing.assert_array_equal(read_image(file), read_image(tmp_path / "theirs" / "cam00" / "0003.jpg"))
+    np.testing.assert_array_equal(
+        read_image(file), read_image(tmp_path / "theirs" / "cam00" / "0003.jpg")
+    )
     assert file.read_bytes().startswith(b"\x89PNG")
-    assert "cam00: 3 frames (2-4) of JPEG, decoded once to PNG: coding errors count against the method" in record["notes"]
+    assert (
+        "cam00: 3 frames (2-4) of JPEG, decoded once to PNG: coding errors count against the method"
+        in record["notes"]
+    )
 
 
 @pytest.mark.parametrize("link", [False, True], ids=["copied", "linked"])
-def test_png_files_are_copied_or_linked_and_stay_theirs(truth_run, tmp_path, link, monkeypatch, capsys):
-    """PNG frames are copies of the very bytes, of which a line tells the size before, or links; a JPEG called .png is decoded."""
+def test_png_files_are_copied_or_linked_and_stay_theirs(
+    truth_run, tmp_path, link, monkeypatch, capsys
+):
+    """PNG frames are copies of the very bytes, of which a line tells the size before, or links; a
+    JPEG called .png is decoded.
+    """
     monkeypatch.setattr(import_module, "TOLD_BYTES", 0)
     write_folders(tmp_path / "theirs")
     write_picture(tmp_path / "jpeg.jpg", rendered("cam00", 3))
@@ -234,7 +317,10 @@ def test_png_files_are_copied_or_linked_and_stay_theirs(truth_run, tmp_path, lin
 
     import_renders(truth_run, "mine", tmp_path / "theirs", link=link)
 
-    file, theirs = frame_path(truth_run.renders("mine", "cam02"), 3), tmp_path / "theirs" / "cam02" / "0003.png"
+    file, theirs = (
+        frame_path(truth_run.renders("mine", "cam02"), 3),
+        tmp_path / "theirs" / "cam02" / "0003.png",
+    )
     assert file.is_symlink() == link
     assert file.read_bytes() == theirs.read_bytes()
     assert ("mine: copying 0 MB of frames into the run" in capsys.readouterr().err) == (not link)
@@ -278,14 +364,21 @@ def test_a_changed_file_is_noticed(suffix, truth_run, tmp_path):
     second = import_renders(truth_run, "mine", source)
 
     assert second["sha256"] != first["sha256"]
-    np.testing.assert_array_equal(read_image(frame_path(truth_run.renders("mine", "cam00"), 3)), truth("cam00", 3))
+    np.testing.assert_array_equal(
+        read_image(frame_path(truth_run.renders("mine", "cam00"), 3)), truth("cam00", 3)
+    )
 
 
 @pytest.mark.slow
 def test_one_frame_of_a_large_stack_is_noticed(tmp_path):
-    """An uncompressed array keeps its size when a frame in its middle is replaced; the import is made again all the same."""
+    """An uncompressed array keeps its size when a frame in its middle is replaced; the import is
+    made again all the same.
+    """
     frames = range(480)
-    run, folder = make_run(tmp_path / "run", frames=frames, n_frames=len(frames)), tmp_path / "theirs"
+    run, folder = (
+        make_run(tmp_path / "run", frames=frames, n_frames=len(frames)),
+        tmp_path / "theirs",
+    )
     folder.mkdir()
     for view in VIEWS:
         np.save(folder / f"{view}.npy", stack(view, frames=frames))
@@ -296,13 +389,20 @@ def test_one_frame_of_a_large_stack_is_noticed(tmp_path):
 
     import_renders(run, "mine", folder)
 
-    np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", "cam00"), 240)), changed[240])
+    np.testing.assert_array_equal(
+        read_image(frame_path(run.renders("mine", "cam00"), 240)), changed[240]
+    )
 
 
 def test_a_killed_import_is_made_again(truth_run, tmp_path):
     """Leftovers of a killed import are removed, lost frames are brought back."""
     source = write_folders(tmp_path / "theirs")
-    (truth_run.root / "renders" / f".mine.{socket.gethostname().replace('.', '-')}.4194304000.tmp" / "cam00").mkdir(parents=True)
+    (
+        truth_run.root
+        / "renders"
+        / f".mine.{socket.gethostname().replace('.', '-')}.4194304000.tmp"
+        / "cam00"
+    ).mkdir(parents=True)
     import_renders(truth_run, "mine", source)
     frame_path(truth_run.renders("mine", "cam00"), 3).unlink()
 
@@ -327,20 +427,26 @@ def test_a_frame_that_was_changed_in_the_run_comes_back(case, truth_run, tmp_pat
 
 
 def test_the_record_names_every_source_file(truth_run, tmp_path):
-    """import.json holds the kind, the last part of the path and a digest of each file, and no absolute path."""
+    """import.json holds the kind, the last part of the path and a digest of each file, and no
+    absolute path.
+    """
     import_renders(truth_run, "mine", write_folders(tmp_path / "theirs"))
 
     text = (truth_run.root / "renders" / "mine" / "import.json").read_text()
     record = read_json(truth_run.root / "renders" / "mine" / "import.json")
 
     assert (record["kind"], record["source"]) == ("<view>/<frame>.png", "theirs")
-    assert sorted(record["identity"]["files"]) == [f"cam0{view}/000{frame}.png" for view in (0, 2) for frame in FRAMES]
+    assert sorted(record["identity"]["files"]) == [
+        f"cam0{view}/000{frame}.png" for view in (0, 2) for frame in FRAMES
+    ]
     assert len(set(record["identity"]["files"].values())) == 6
     assert str(tmp_path) not in text
 
 
 def test_a_run_with_several_methods_is_asked_by_name(truth_run, tmp_path):
-    """Of a run folder with several methods the one of the given name is taken; without one the error lists them."""
+    """Of a run folder with several methods the one of the given name is taken; without one the
+    error lists them.
+    """
     other = make_run(tmp_path / "other")
     write_folders(other.root / "renders" / "mine")
     write_folders(other.root / "renders" / "worse", numbers=range(2, 5))
@@ -371,7 +477,9 @@ def test_pictures_on_their_side_are_turned_as_they_say(suffix, truth_run, tmp_pa
         for view, frame in view_major():
             file = tmp_path / "theirs" / view / f"{frame:04d}{suffix}"
             file.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.ascontiguousarray(np.rot90(rendered(view, frame)))).save(file, quality=98, subsampling=0, **exif)
+            Image.fromarray(np.ascontiguousarray(np.rot90(rendered(view, frame)))).save(
+                file, quality=98, subsampling=0, **exif
+            )
         if not exif:
             with refused(RenderError, "48 x 64", "64 x 48"):
                 import_renders(truth_run, "mine", tmp_path / "theirs")

@@ -1,4 +1,6 @@
-"""Renders that do not fit are refused in one line that lists everything, and nothing of them stays in the run."""
+"""Renders that do not fit are refused in one line that lists everything, and nothing of them stays
+in the run.
+"""
 
 import shutil
 from collections.abc import Callable
@@ -40,7 +42,9 @@ def refusal(run: RunFolder, source: Path, label: str = "mine", allow_partial: bo
 
 
 def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
-    """Missing frames as ranges, extras, wrong sizes with both sizes and unreadable files come in one message."""
+    """Missing frames as ranges, extras, wrong sizes with both sizes and unreadable files come in
+    one message.
+    """
     folder = write_folders(tmp_path / "theirs")
     for frame in (2, 3):
         (folder / "cam02" / f"000{frame}.png").unlink()
@@ -59,9 +63,13 @@ def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     assert "--allow-partial" in message
 
 
-@pytest.mark.parametrize("pattern", ["{view}/{number:04d}.png", "{view}_{number:04d}.png", "{view}.mp4"])
+@pytest.mark.parametrize(
+    "pattern", ["{view}/{number:04d}.png", "{view}_{number:04d}.png", "{view}.mp4"]
+)
 def test_a_camera_that_is_not_tested_is_a_note(pattern, truth_run, tmp_path):
-    """Who renders every camera of the capture has done nothing wrong; the note names those that are left out."""
+    """Who renders every camera of the capture has done nothing wrong; the note names those that are
+    left out.
+    """
     folder = tmp_path / "theirs"
     if pattern.endswith(".mp4"):
         write_videos(folder, views=["cam00", "cam02", "cam01"])
@@ -95,18 +103,22 @@ def test_two_pictures_of_one_frame_are_told(truth_run, tmp_path):
     message = refusal(truth_run, folder)
 
     assert (
-        "mine in cam00: 2-4 (several pictures of one frame: depth_0002.png and rgb_0002.png; give a folder with one of each)"
-        in message
+        "mine in cam00: 2-4 (several pictures of one frame: depth_0002.png and rgb_0002.png; give "
+        "a folder with one of each)" in message
     )
     assert "lacks" not in message
 
 
 def test_sixteen_bits_are_refused(truth_run, tmp_path):
-    """16-bit PNG would be cut to 8 bit while reading, so that something else were measured than was written."""
+    """16-bit PNG would be cut to 8 bit while reading, so that something else were measured than was
+    written.
+    """
     folder = write_folders(tmp_path / "theirs")
     cv2.imwrite(str(folder / "cam00" / "0003.png"), rendered("cam00", 3).astype(np.uint16) * 257)
 
-    assert "mine in cam00: 3 (16 bits per channel instead of 8: convert them yourself)" in refusal(truth_run, folder)
+    assert "mine in cam00: 3 (16 bits per channel instead of 8: convert them yourself)" in refusal(
+        truth_run, folder
+    )
 
 
 def test_a_gap_does_not_shift_what_follows(truth_run, tmp_path):
@@ -188,35 +200,61 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing there": (lambda f: f, "theirs: wanted renders, got no such path"),
     "cameras that are not tested": (
         lambda f: write_videos(f, views=["cam01"]),
-        "theirs has cam01, which are sources under this protocol; its test views are cam02, cam00: render these; where the "
-        "method did not use cam01, hold them out: ggvs-eval protocol CAPTURE mine.toml --test cam01",
+        "theirs has cam01, which are sources under this protocol; its test views are cam02, "
+        "cam00: render these; where the method did not use cam01, hold them out: ggvs-eval "
+        "protocol CAPTURE mine.toml --test cam01",
     ),
-    "an empty folder": (nothing, "no renders of cam02, cam00 that can be read: a run folder: no protocol.toml; "),
-    "every reason": (nothing, "<view>/<frame>.png: no folder cam02 or cam00 with PNG or JPEG pictures"),
+    "an empty folder": (
+        nothing,
+        "no renders of cam02, cam00 that can be read: a run folder: no protocol.toml; ",
+    ),
+    "every reason": (
+        nothing,
+        "<view>/<frame>.png: no folder cam02 or cam00 with PNG or JPEG pictures",
+    ),
     "no video of a view": (nothing, "one video per view: no cam02.mp4 or the like"),
     "two kinds at once": (mixed, "holds one video per view and <view>/<frame>.png at once"),
-    "a short video": (lambda f: write_videos(f, range(2, 4)), "mine in cam02 lacks 4; mine in cam00 lacks 4"),
+    "a short video": (
+        lambda f: write_videos(f, range(2, 4)),
+        "mine in cam02 lacks 4; mine in cam00 lacks 4",
+    ),
     "a video of who knows what": (
         lambda f: write_videos(f, range(5)),
-        "wanted 3 frames of each view (the protocol's) or 7 (the whole capture), got cam00 5, cam02 5",
+        "wanted 3 frames of each view (the protocol's) or 7 (the whole capture), got cam00 5, "
+        "cam02 5",
     ),
     "a damaged video": (damaged_video, "the file is truncated or no video"),
-    "one video too few": (lambda f: write_videos(f, views=["cam00"]), "mine in cam02 lacks all 3 frames"),
+    "one video too few": (
+        lambda f: write_videos(f, views=["cam00"]),
+        "mine in cam02 lacks all 3 frames",
+    ),
     "one video too many": (with_another_video, "fits no view and frame: depth.mp4"),
     "channels first": (
         lambda f: write_array(f, stack("cam00").transpose(0, 3, 1, 2)),
-        "wanted an array (T, H, W, 3), got (3, 3, 48, 64), which has its channels first: save frames.transpose(0, 2, 3, 1)",
+        "wanted an array (T, H, W, 3), got (3, 3, 48, 64), which has its channels first: save "
+        "frames.transpose(0, 2, 3, 1)",
     ),
-    "integers of 16 bit": (lambda f: write_array(f, stack("cam00").astype(np.uint16)), "float in [0, 1], got uint16"),
-    "floats up to 255": (lambda f: write_array(f, stack("cam00").astype(float)), "; divide them by 255"),
-    "floats from -1": (lambda f: write_array(f, stack("cam00", "float32") * 2 - 1), "; map them by (x + 1) / 2"),
+    "integers of 16 bit": (
+        lambda f: write_array(f, stack("cam00").astype(np.uint16)),
+        "float in [0, 1], got uint16",
+    ),
+    "floats up to 255": (
+        lambda f: write_array(f, stack("cam00").astype(float)),
+        "; divide them by 255",
+    ),
+    "floats from -1": (
+        lambda f: write_array(f, stack("cam00", "float32") * 2 - 1),
+        "; map them by (x + 1) / 2",
+    ),
     "NaN": (
         lambda f: write_array(f, with_nan()),
-        "2 values of frame 1 are NaN, the first at row 5, column 7; find out where the renderer makes them, clipping keeps NaN",
+        "2 values of frame 1 are NaN, the first at row 5, column 7; find out where the renderer "
+        "makes them, clipping keeps NaN",
     ),
     "half the size": (
         lambda f: write_array(f, stack("cam00")[:, ::2, ::2]),
-        "2-4 (32 x 24 instead of 64 x 48: to score them at this size, set synthesis.width = 32, synthesis.height = 24 in",
+        "2-4 (32 x 24 instead of 64 x 48: to score them at this size, set synthesis.width = 32, "
+        "synthesis.height = 24 in",
     ),
     "an array nobody asked for": (
         lambda f: write_one(f, np.zeros((3, 3, 48, 64, 3), np.uint8)),
@@ -232,7 +270,8 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "truth of other frames": (
         lambda f: move_truth(f, lambda view, frame: truth(view, frame - 1)),
-        "gt: wanted copies of the captured frames next to these renders, got others: copies of cam02 fit one frame earlier",
+        "gt: wanted copies of the captured frames next to these renders, got others: copies of "
+        "cam02 fit one frame earlier",
     ),
     "truth of another camera": (
         lambda f: move_truth(f, lambda view, frame: truth("cam01", frame)),
@@ -242,10 +281,19 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda f: move_truth(f, lambda view, frame: truth(view, frame)[::2, ::2]),
         "gt/00000.png has another size than frame 2 of ",
     ),
-    "a flat list of five": (lambda f: write_flat(f, view_major()[:5]), "wanted 3, 6, 7, 14 pictures"),
-    "renders without their truth": (uneven, "wanted the same numbers in renders/ and gt/, one of them lacks 3"),
+    "a flat list of five": (
+        lambda f: write_flat(f, view_major()[:5]),
+        "wanted 3, 6, 7, 14 pictures",
+    ),
+    "renders without their truth": (
+        uneven,
+        "wanted the same numbers in renders/ and gt/, one of them lacks 3",
+    ),
     "two iterations": (two_sets, "several sets; give one of test/ours_30000, test/ours_7000"),
-    "names that tell nothing": (without_truth_and_names, "wanted names with a view, got color/00000.png"),
+    "names that tell nothing": (
+        without_truth_and_names,
+        "wanted names with a view, got color/00000.png",
+    ),
 }
 
 
@@ -258,29 +306,43 @@ def test_what_cannot_be_scored_says_why(case, truth_run, tmp_path):
 
 
 def test_several_sets_are_the_only_reason(truth_run, tmp_path):
-    """Where one of several sets is to be chosen nothing else is listed; --allow-partial is not offered where nothing fits."""
+    """Where one of several sets is to be chosen nothing else is listed; --allow-partial is not
+    offered where nothing fits.
+    """
     assert "run folder" not in refusal(truth_run, two_sets(tmp_path / "theirs"))
     half = write_array(tmp_path / "half", stack("cam00")[:, ::2, ::2])
     assert "--allow-partial" not in refusal(truth_run, half)
 
 
 def test_predictions_against_another_capture_are_refused(truth_run, tmp_path):
-    """NerfBaselines' own copy of the truth is held against the capture even where the names fit; the distance is told."""
+    """NerfBaselines' own copy of the truth is held against the capture even where the names fit;
+    the distance is told.
+    """
     folder = write_nerfbaselines(tmp_path / "theirs")
     write_image(folder / "gt-color" / "cam00" / "0003.png", 255 - truth("cam00", 3))
     level = np.abs(255.0 - 2 * truth("cam00", 3).astype(float)).mean()
 
-    assert f"gt-color/cam00/0003.png is {level:.1f} levels from frame 3 of cam00" in refusal(truth_run, folder)
+    assert f"gt-color/cam00/0003.png is {level:.1f} levels from frame 3 of cam00" in refusal(
+        truth_run, folder
+    )
 
 
-@pytest.mark.parametrize("label", ["ours-geometric", "Ours", "OURS", "truth", "", ".hidden", "a/b", "a*"])
+@pytest.mark.parametrize(
+    "label", ["ours-geometric", "Ours", "OURS", "truth", "", ".hidden", "a/b", "a*"]
+)
 def test_names_that_mean_something_else_are_refused(label, truth_run, tmp_path):
-    """Renders cannot take the name or the title of a method, the name of the truth, or one that is no plain name."""
-    assert "renders cannot be called" in refusal(truth_run, write_folders(tmp_path / "theirs"), label)
+    """Renders cannot take the name or the title of a method, the name of the truth, or one that is
+    no plain name.
+    """
+    assert "renders cannot be called" in refusal(
+        truth_run, write_folders(tmp_path / "theirs"), label
+    )
 
 
 def test_a_name_longer_than_file_systems_take_is_one_line(truth_run, tmp_path):
-    """Temporary folders add to it, so that the limit is below theirs; the name that is offered instead is shorter."""
+    """Temporary folders add to it, so that the limit is below theirs; the name that is offered
+    instead is shorter.
+    """
     line = refusal(truth_run, write_folders(tmp_path / "theirs"), 245 * "a")
     assert "which is not a plain name of at most 128 bytes; give another: --renders " in line
     assert line.endswith(f" {100 * 'a'}=PATH")
@@ -290,7 +352,9 @@ def test_what_was_rendered_here_is_not_overwritten(truth_run, tmp_path):
     """A folder of that name that no import made stays, and a run cannot import from itself."""
     write_folders(truth_run.root / "renders" / "mine")
 
-    assert "got an existing one; choose another name" in refusal(truth_run, write_folders(tmp_path / "theirs"))
+    assert "got an existing one; choose another name" in refusal(
+        truth_run, write_folders(tmp_path / "theirs")
+    )
     assert "are already in the run" in refusal(truth_run, truth_run.root)
 
 
@@ -305,7 +369,9 @@ def test_partial_of_nothing_is_still_refused(truth_run, tmp_path):
     """Where not one frame fits, --allow-partial does not help."""
     folder = write_folders(tmp_path / "theirs", range(N_FRAMES)[:3], numbers=(1, 20, 30))
 
-    assert "wanted frames of the protocol, got none" in refusal(truth_run, folder, allow_partial=True)
+    assert "wanted frames of the protocol, got none" in refusal(
+        truth_run, folder, allow_partial=True
+    )
 
 
 def test_the_command_line_names_renders():

@@ -1,4 +1,6 @@
-"""Videos and depth videos without a capture: every form that people have them in, and what is told where there is none."""
+"""Videos and depth videos without a capture: every form that people have them in, and what is told
+where there is none.
+"""
 
 import cv2
 import numpy as np
@@ -33,7 +35,9 @@ def write_each(folder, suffix):
         elif suffix == ".npz":
             np.savez(name, depth=depth, confidence=depth)
         else:
-            cv2.imwrite(str(name), np.rint(1000 * depth).astype(np.uint16) if suffix == ".png" else depth)
+            cv2.imwrite(
+                str(name), np.rint(1000 * depth).astype(np.uint16) if suffix == ".png" else depth
+            )
     return folder
 
 
@@ -50,11 +54,18 @@ def test_arrays_stores_and_videos_of_depth_are_read(tmp_path):
     """A stack, this package's own store, and a video of grey levels."""
     np.save(tmp_path / "stack.npy", DEPTHS)
     grey = np.repeat((20 * DEPTHS).astype(np.uint8)[..., None], 3, axis=-1)
-    write_video(tmp_path / "depth.mp4", [np.full((16, 16, 3), level, np.uint8) for level in (40, 80, 120)], 30, crf=0)
+    write_video(
+        tmp_path / "depth.mp4",
+        [np.full((16, 16, 3), level, np.uint8) for level in (40, 80, 120)],
+        30,
+        crf=0,
+    )
 
     assert np.array_equal(list(read_depths(tmp_path / "stack.npy")), DEPTHS)
     assert np.array_equal(list(read_depths(write_store(tmp_path / "store"))), DEPTHS)
-    assert [depth.mean() for depth in read_depths(tmp_path / "depth.mp4")] == pytest.approx([40, 80, 120], abs=1)
+    assert [depth.mean() for depth in read_depths(tmp_path / "depth.mp4")] == pytest.approx(
+        [40, 80, 120], abs=1
+    )
     np.savez(tmp_path / "one.npz", levels=grey[..., 0])
     assert np.array_equal(list(read_depths(tmp_path / "one.npz")), grey[..., 0].astype(np.float32))
 
@@ -74,8 +85,16 @@ def test_frames_are_read_in_every_form(tmp_path):
 @pytest.mark.parametrize(
     ("make", "read", "words"),
     [
-        (lambda path: None, read_depths, r"wanted a folder of depth maps, .*got no such path; check it"),
-        (lambda path: path.write_text("no"), read_frames, "wanted a folder of pictures, .*got another kind"),
+        (
+            lambda path: None,
+            read_depths,
+            r"wanted a folder of depth maps, .*got no such path; check it",
+        ),
+        (
+            lambda path: path.write_text("no"),
+            read_frames,
+            "wanted a folder of pictures, .*got another kind",
+        ),
         (lambda path: path.mkdir(), read_depths, r"wanted depth maps \(.png, .*\), got none"),
         (lambda path: path.mkdir(), read_frames, r"wanted pictures \(.png, .*\), got none"),
     ],

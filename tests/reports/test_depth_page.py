@@ -46,12 +46,17 @@ from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plan
 
 FILLED = 0.02
 PAIRED = (("cam00", ("cam01", "cam03")), ("cam00", ("cam02",)), ("cam02", ("cam00", "cam01")))
-JOBS = tuple(DepthJob(name, partners, spec={"number": number}) for number, (name, partners) in enumerate(PAIRED))
+JOBS = tuple(
+    DepthJob(name, partners, spec={"number": number})
+    for number, (name, partners) in enumerate(PAIRED)
+)
 NASTY = '<script>alert("x")</script> & "quoted" #1'
 
 
 def exact_map(camera: Camera, frame: int) -> DepthMap:
-    """Exact depth of the plane; a tenth of the rows is empty, the next fifth is filled, the rest measured."""
+    """Exact depth of the plane; a tenth of the rows is empty, the next fifth is filled, the rest
+    measured.
+    """
     depth = plane_depth(camera, PLANE - [0, 0, 0.2 * frame]).astype(np.float32)
     confidence = np.full(depth.shape, 0.75, np.float32)
     depth[:15], confidence[:15] = 0, 0
@@ -86,14 +91,18 @@ def stored(plane_capture, tmp_path_factory) -> tuple[DepthStore, list[StoredDept
 def page(plane_capture, stored, tmp_path_factory) -> Path:
     """A page, by one process; nobody changes it."""
     store, depths = stored
-    return write_depth_page(tmp_path_factory.mktemp("run") / "depth_page", plane_capture, depths, store, FILLED, 1)
+    return write_depth_page(
+        tmp_path_factory.mktemp("run") / "depth_page", plane_capture, depths, store, FILLED, 1
+    )
 
 
 @pytest.fixture(scope="module")
 def record(plane_capture, stored, tmp_path_factory) -> DepthRecord:
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
-        return examine_depth(pool, tmp_path_factory.mktemp("pictures"), plane_capture, depths, store, FILLED)
+        return examine_depth(
+            pool, tmp_path_factory.mktemp("pictures"), plane_capture, depths, store, FILLED
+        )
 
 
 def faulty(capture: Capture, name: str, tilt_px: float) -> Capture:
@@ -101,7 +110,9 @@ def faulty(capture: Capture, name: str, tilt_px: float) -> Capture:
     tilt = np.eye(4)
     tilt[:3, :3] = Rotation.from_rotvec([tilt_px / FOCAL, 0, 0]).as_matrix()
     cameras = [
-        replace(camera, world_to_camera=tilt @ camera.world_to_camera) if camera.name == name else camera
+        replace(camera, world_to_camera=tilt @ camera.world_to_camera)
+        if camera.name == name
+        else camera
         for camera in capture.cameras
     ]
     return replace(capture, cameras=tuple(cameras))
@@ -109,23 +120,33 @@ def faulty(capture: Capture, name: str, tilt_px: float) -> Capture:
 
 @pytest.mark.slow
 def test_page_loads_its_pictures_and_nothing_else(page):
-    """Every address is a picture that exists, small and loaded when needed, or a place in the page; own scripts alone run."""
+    """Every address is a picture that exists, small and loaded when needed, or a place in the page;
+    own scripts alone run.
+    """
     text = page.read_text(encoding="utf-8")
     reader = PageReader(text)
     pictures = {address for address in reader.addresses if not address.startswith("#")}
     assert pictures == {f"pictures/{file.name}" for file in (page.parent / "pictures").iterdir()}
-    assert all(f'id="{unquote(address[1:])}"' in text for address in reader.addresses if address.startswith("#"))
+    assert all(
+        f'id="{unquote(address[1:])}"' in text
+        for address in reader.addresses
+        if address.startswith("#")
+    )
     assert not {"link", "iframe", "object", "base"} & set(reader.tags)
     assert not re.search(r"url\(|@import|https?:", text)
     assert "default-src 'none'" in text
     assert "script-src 'sha256-" in text
     images = re.findall(r'<img[^>]* src="([^"]+)" width="(\d+)" height="(\d+)"[^>]*>', text)
     assert len(images) == text.count("<img") == text.count('loading="lazy"')
-    assert len(images) == 2 * 3 * 6 + 3  # two cameras, three instants, the image twice; cam00 is shown with one partner
+    # two cameras, three instants, the image twice; cam00 is shown with one partner
+    assert len(images) == 2 * 3 * 6 + 3
     for file, width, height in images:
         assert read_image(page.parent / file).shape == (int(height), int(width), 3)
         assert int(width) <= 640
-    assert sum(file.stat().st_size for file in (page.parent / "pictures").iterdir()) < len(images) * 40_000
+    assert (
+        sum(file.stat().st_size for file in (page.parent / "pictures").iterdir())
+        < len(images) * 40_000
+    )
 
 
 @pytest.mark.slow
@@ -140,18 +161,24 @@ def test_report_of_the_run_has_it_as_a_sheet(page, tmp_path):
     assert pictures
     assert all((report.parent / address).is_file() for address in pictures)
     assert "cam00 with cam02: matched with cam02 alone" in text
-    alone = write_report([run], tmp_path, with_figures=False, standalone=True).read_text(encoding="utf-8")
+    alone = write_report([run], tmp_path, with_figures=False, standalone=True).read_text(
+        encoding="utf-8"
+    )
     assert "cam00 with cam02: matched with cam02 alone" in alone
     assert "/pictures/" not in alone
 
 
 @pytest.mark.slow
 def test_numbers_are_those_of_the_store(page, record):
-    """Shares of pixels, confidence and depth are those of the maps, in the page and in the file beside it."""
+    """Shares of pixels, confidence and depth are those of the maps, in the page and in the file
+    beside it.
+    """
     told = json.loads((page.parent / "index.json").read_text())
     assert [camera["name"] for camera in told["cameras"]] == ["cam00", "cam02"]
     whole = record.cameras[1].jobs[0][1][1]
-    assert (whole.frame, whole.measured, whole.filled, whole.empty) == pytest.approx((1, 0.7, 0.2, 0.1))
+    assert (whole.frame, whole.measured, whole.filled, whole.empty) == pytest.approx(
+        (1, 0.7, 0.2, 0.1)
+    )
     assert whole.confidence == pytest.approx(0.75, abs=0.003)
     truth = plane_depth(look_from(-0.4, 0, "cam02"), PLANE - [0, 0, 0.2])[45:]
     assert whole.median == pytest.approx(np.median(truth), rel=1e-4)
@@ -164,23 +191,32 @@ def test_numbers_are_those_of_the_store(page, record):
 
 
 def test_a_camera_is_pictured_where_it_measured_least(record):
-    """Of several sets of partners, the pictures are of the one with the fewest measured pixels; all stand in the table."""
+    """Of several sets of partners, the pictures are of the one with the fewest measured pixels; all
+    stand in the table.
+    """
     camera = record.cameras[0]
-    assert [stored.job.partner_names for stored, _ in camera.jobs] == [("cam01", "cam03"), ("cam02",)]
+    assert [stored.job.partner_names for stored, _ in camera.jobs] == [
+        ("cam01", "cam03"),
+        ("cam02",),
+    ]
     assert camera.pictures.partners == ("cam02",)
     assert [pair.partner for pair in camera.pictures.pairs] == ["cam02"]
     assert camera.jobs[1][1][0].measured == pytest.approx(0.6)
 
 
 def test_sound_capture_raises_no_alarm(record):
-    """Right depth and calibration: rows within a third of a pixel, images made again well, one warning: a single partner."""
+    """Right depth and calibration: rows within a third of a pixel, images made again well, one
+    warning: a single partner.
+    """
     assert {(pair.camera, pair.partner) for pair in record.pairs} == {
         ("cam00", "cam01"),
         ("cam00", "cam03"),
         ("cam00", "cam02"),
         ("cam02", "cam01"),
     }
-    assert all(pair.matches > 50 and pair.row_px < 0.3 and pair.outside < 0.02 for pair in record.pairs)
+    assert all(
+        pair.matches > 50 and pair.row_px < 0.3 and pair.outside < 0.02 for pair in record.pairs
+    )
     for instant in (instant for camera in record.cameras for instant in camera.pictures.instants):
         assert instant.again.error < 3
         assert instant.again.covered > 0.6
@@ -192,52 +228,85 @@ def test_sound_capture_raises_no_alarm(record):
 
 @pytest.mark.slow
 def test_wrong_calibration_is_told(plane_capture, stored, tmp_path):
-    """A camera that is written down tilted by 3 px is 3 px off the rows of those beside it, and the page says so first."""
+    """A camera that is written down tilted by 3 px is 3 px off the rows of those beside it, and the
+    page says so first.
+    """
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
-        found = examine_depth(pool, tmp_path, faulty(plane_capture, "cam02", 3.0), depths, store, FILLED)
+        found = examine_depth(
+            pool, tmp_path, faulty(plane_capture, "cam02", 3.0), depths, store, FILLED
+        )
     rows = {(pair.camera, pair.partner): pair.row_px for pair in found.pairs}
     assert rows["cam00", "cam02"] == pytest.approx(3, abs=0.2)
     assert rows["cam02", "cam01"] == pytest.approx(3, abs=0.2)
     assert max(rows["cam00", "cam01"], rows["cam00", "cam03"]) < 0.3
     warning = find_warnings(found)[0]
     assert "more than 1 px (median) in 2 of 4 pairs" in warning
-    assert set(re.findall(r"(cam\d\d-cam\d\d) (?:2\.[89]|3\.[0-2]) px", warning)) == {"cam00-cam02", "cam02-cam01"}
+    assert set(re.findall(r"(cam\d\d-cam\d\d) (?:2\.[89]|3\.[0-2]) px", warning)) == {
+        "cam00-cam02",
+        "cam02-cam01",
+    }
     assert warning in PageReader(render_depth_page(summarise(found))).texts
 
 
 def test_poor_depth_is_told(record):
-    """Few measured pixels, little confidence, wrong colours and an image that cannot be made again are each told."""
+    """Few measured pixels, little confidence, wrong colours and an image that cannot be made again
+    are each told.
+    """
     camera = record.cameras[1]
     (stored, statistics), instants = camera.jobs[0], camera.pictures.instants
 
-    def told(measured: float = 0.7, confidence: float = 0.75, error: float = 2.0, gain: float = 1.0) -> str:
+    def told(
+        measured: float = 0.7, confidence: float = 0.75, error: float = 2.0, gain: float = 1.0
+    ) -> str:
         poor = tuple(replace(each, measured=measured, confidence=confidence) for each in statistics)
         again = [replace(each.again, error=error, gain=(1.0, 1.0, gain)) for each in instants]
-        shown = tuple(replace(each, again=changed) for each, changed in zip(instants, again, strict=True))
+        shown = tuple(
+            replace(each, again=changed) for each, changed in zip(instants, again, strict=True)
+        )
         pictures = replace(camera.pictures, instants=shown)
-        return "\n".join(find_warnings(replace(record, cameras=(replace(camera, jobs=((stored, poor),), pictures=pictures),))))
+        return "\n".join(
+            find_warnings(
+                replace(
+                    record, cameras=(replace(camera, jobs=((stored, poor),), pictures=pictures),)
+                )
+            )
+        )
 
     assert told() == ""
     assert "cam02: only 31% of the pixels have a measured depth at frame 0" in told(measured=0.31)
-    assert "cam02: half of the pixels that were measured at frame 0 have a confidence below 0.3" in told(confidence=0.2)
+    assert (
+        "cam02: half of the pixels that were measured at frame 0 have a confidence below 0.3"
+        in told(confidence=0.2)
+    )
     assert "cam02: its colours differ from those of cam00 by a factor of 0.80" in told(gain=0.8)
     worst = replace(instants[0], again=replace(instants[0].again, error=30.0))
     bad = replace(camera, name="bad", pictures=replace(camera.pictures, instants=(worst,)))
     (outlier,) = find_warnings(replace(record, cameras=(camera, camera, bad)))
-    assert outlier.startswith("bad: made again from cam00 through its depth, its image differs by 30.0 of 255 levels")
+    assert outlier.startswith(
+        "bad: made again from cam00 through its depth, its image differs by 30.0 of 255 levels"
+    )
 
 
 def test_narrow_depth_range_is_told(plane_capture):
-    """Where the plane lies beyond the far end of the depth range, matches have disparities that nobody looks for."""
+    """Where the plane lies beyond the far end of the depth range, matches have disparities that
+    nobody looks for.
+    """
     camera, partner = (replace(plane_capture.camera(name), far=5.5) for name in ("cam00", "cam01"))
     features = [find_features(plane_capture.frame(name, 0)) for name in ("cam00", "cam01")]
     errors, uv = measure_pair(camera, partner, *features)
-    beyond = plane_depth(camera)[tuple(uv[:, 0, ::-1].astype(int).T)] > FOCAL * 0.4 / (errors.d_min - 1)
+    beyond = plane_depth(camera)[tuple(uv[:, 0, ::-1].astype(int).T)] > FOCAL * 0.4 / (
+        errors.d_min - 1
+    )
     assert errors.d_min == np.floor(FOCAL * 1.005 * 0.4 / 5.5)
     assert errors.outside == pytest.approx(beyond.mean(), abs=0.03)
     assert 0.3 < errors.outside < 0.7
-    assert measure_pair(plane_capture.camera("cam00"), plane_capture.camera("cam01"), *features)[0].outside < 0.02
+    assert (
+        measure_pair(plane_capture.camera("cam00"), plane_capture.camera("cam01"), *features)[
+            0
+        ].outside
+        < 0.02
+    )
 
 
 def test_too_few_matches_say_nothing(record):
@@ -246,13 +315,20 @@ def test_too_few_matches_say_nothing(record):
     blank = find_features(np.full((150, 200, 3), 90, np.uint8))
     errors, uv = measure_pair(camera, partner, blank, blank)
     assert (errors.matches, errors.row_px, len(uv)) == (0, 0.0, 0)
-    unknown = replace(record, pairs=tuple(replace(pair, matches=0, row_px=0.0) for pair in record.pairs))
-    assert "Of cam00-cam01, cam00-cam03, cam00-cam02, cam02-cam01 too few features match" in find_notes(unknown)[0]
+    unknown = replace(
+        record, pairs=tuple(replace(pair, matches=0, row_px=0.0) for pair in record.pairs)
+    )
+    assert (
+        "Of cam00-cam01, cam00-cam03, cam00-cam02, cam02-cam01 too few features match"
+        in find_notes(unknown)[0]
+    )
     assert "Too few matches to check the calibration" in render_depth_page(summarise(unknown))
 
 
 def test_wrong_depth_shows_in_the_image_made_again():
-    """Exact depth makes the image again, depth 8 % off does not, where it is off; a partner 20 % darker does not pass for it."""
+    """Exact depth makes the image again, depth 8 % off does not, where it is off; a partner 20 %
+    darker does not pass for it.
+    """
     camera, other = look_from(0, 0, "camera"), look_from(0.5, 0, "other")
     depth, images = plane_depth(camera).astype(np.float32), [see_plane(camera), see_plane(other)]
     right = resynthesise(camera, depth, images[0], other, images[1])
@@ -270,11 +346,14 @@ def test_wrong_depth_shows_in_the_image_made_again():
 
 
 def test_hidden_surfaces_are_not_compared():
-    """A wall that a near board hides from the other camera is marked, not evaluated; what both see is."""
+    """A wall that a near board hides from the other camera is marked, not evaluated; what both see
+    is.
+    """
     camera, other = look_from(0, 0, "camera"), look_from(0.5, 0, "other")
     depth = np.full((150, 200), 8.0, np.float32)
     depth[:, 80:110] = 4.5
-    shift_px = FOCAL * 0.5 * (1 / 4.5 - 1 / 8.0)  # the wall on the board's left by so much is hidden from the right
+    # the wall on the board's left by so much is hidden from the right
+    shift_px = FOCAL * 0.5 * (1 / 4.5 - 1 / 8.0)
     made = resynthesise(camera, depth, see_plane(camera), other, see_plane(other))
     hidden = slice(round(80 - shift_px) + 2, 78)
     assert made.is_seen[20:130, hidden].mean() < 0.05
@@ -294,28 +373,52 @@ def test_no_depth_at_all():
 
 
 def test_pairs_that_cannot_be_rectified(plane_capture, stored, tmp_path):
-    """A partner straight ahead, which a plane sweep can use and a rectified matcher cannot, is said to be one, not shown."""
+    """A partner straight ahead, which a plane sweep can use and a rectified matcher cannot, is said
+    to be one, not shown.
+    """
     store, depths = stored
     ahead = look_from(0, 0, "cam01").world_to_camera.copy()
     ahead[2, 3] = -0.5
-    cameras = [replace(camera, world_to_camera=ahead) if camera.name == "cam01" else camera for camera in plane_capture.cameras]
+    cameras = [
+        replace(camera, world_to_camera=ahead) if camera.name == "cam01" else camera
+        for camera in plane_capture.cameras
+    ]
     with ThreadPoolExecutor(1) as pool:
-        found = examine_depth(pool, tmp_path, replace(plane_capture, cameras=tuple(cameras)), depths[:1], store, FILLED)
+        found = examine_depth(
+            pool,
+            tmp_path,
+            replace(plane_capture, cameras=tuple(cameras)),
+            depths[:1],
+            store,
+            FILLED,
+        )
     assert found.pairs[0].baseline == pytest.approx(0.5)
     assert [pair.partner for pair in found.cameras[0].pictures.pairs] == ["cam03"]
-    assert find_notes(found)[0].startswith("cam00-cam01 cannot be rectified: cameras cam00 and cam01 have no parallax")
+    assert find_notes(found)[0].startswith(
+        "cam00-cam01 cannot be rectified: cameras cam00 and cam01 have no parallax"
+    )
     assert find_notes(found)[0] in PageReader(render_depth_page(summarise(found))).texts
 
 
 @pytest.mark.parametrize(
-    ("place", "beside"), [((0.5, 0), True), ((-0.5, 0), True), ((0, 0.5), False), ((0, -0.5), False), ((0.4, 0.2), True)]
+    ("place", "beside"),
+    [
+        ((0.5, 0), True),
+        ((-0.5, 0), True),
+        ((0, 0.5), False),
+        ((0, -0.5), False),
+        ((0.4, 0.2), True),
+    ],
 )
 def test_pairs_are_shown_upright(place, beside):
     """Whatever side the partner is on, both halves show the scene upright and not mirrored."""
     camera, partner = look_from(0, 0, "camera"), look_from(*place, "partner")
     ramp = np.zeros((150, 200, 3), np.uint8)
-    ramp[..., 0], ramp[..., 2] = np.linspace(60, 250, 200)[None], np.linspace(60, 250, 150)[:, None]  # right: red, down: blue
-    picture = pair_picture(rectify(camera, partner), camera, partner, ramp, ramp, np.zeros((0, 2, 2)))
+    # right: red, down: blue
+    ramp[..., 0], ramp[..., 2] = np.linspace(60, 250, 200)[None], np.linspace(60, 250, 150)[:, None]
+    picture = pair_picture(
+        rectify(camera, partner), camera, partner, ramp, ramp, np.zeros((0, 2, 2))
+    )
     assert picture.beside == beside
     assert picture.image.shape[1] <= 640
     middle = picture.image.shape[1] // 2 if beside else picture.image.shape[0] // 2
@@ -330,9 +433,13 @@ def test_pairs_are_shown_upright(place, beside):
 
 
 def test_colours_tell_depth_and_what_has_none():
-    """Nearer is brighter, evenly in inverse depth; nothing is drawn like a pixel without depth, and filled ones are striped."""
+    """Nearer is brighter, evenly in inverse depth; nothing is drawn like a pixel without depth, and
+    filled ones are striped.
+    """
     nearest, farthest = 2.0, 10.0
-    depth = (1 / np.linspace(1 / farthest, 1 / nearest, 64)).astype(np.float32)[None].repeat(32, axis=0)
+    depth = (
+        (1 / np.linspace(1 / farthest, 1 / nearest, 64)).astype(np.float32)[None].repeat(32, axis=0)
+    )
     grey = cv2.cvtColor(depth_colours(depth, nearest, farthest), cv2.COLOR_RGB2GRAY)[0].astype(int)
     assert (np.diff(grey) >= -1).all()
     assert grey[-1] - grey[0] > 150
@@ -343,8 +450,12 @@ def test_colours_tell_depth_and_what_has_none():
     known[:, 16:], filled[:, 16:32] = True, True
     for picture in (
         depth_colours(np.where(known, depth, 0), nearest, farthest),
-        confidence_colours(np.where(known, np.linspace(0, 1, 64), 0).astype(np.float32), known, filled),
-        difference_colours(np.linspace(0, 80, 64, dtype=np.float32)[None].repeat(32, axis=0), known),
+        confidence_colours(
+            np.where(known, np.linspace(0, 1, 64), 0).astype(np.float32), known, filled
+        ),
+        difference_colours(
+            np.linspace(0, 80, 64, dtype=np.float32)[None].repeat(32, axis=0), known
+        ),
     ):
         assert set(np.unique(picture[:, :16])) == set(CHECKS)
         plain = picture[:, 32:].astype(int)
@@ -355,7 +466,11 @@ def test_colours_tell_depth_and_what_has_none():
 
 def test_names_are_harmless(record):
     """Markup in the names of scenes and cameras is shown, not obeyed."""
-    named = replace(record, scene=NASTY, cameras=tuple(replace(camera, name="cam00") for camera in record.cameras[:1]))
+    named = replace(
+        record,
+        scene=NASTY,
+        cameras=tuple(replace(camera, name="cam00") for camera in record.cameras[:1]),
+    )
     reader = PageReader(render_depth_page(summarise(named)))
     assert reader.tags.count("script") == 2  # those of every page
     assert NASTY in reader.texts
@@ -363,7 +478,9 @@ def test_names_are_harmless(record):
 
 def test_world_units_are_told_in_metres_too(record):
     """Where a metre is not a world unit, scales have both and the origin of the factor is named."""
-    text = render_depth_page(summarise(replace(record, units_per_metre=10.5, units_origin="demo.json")))
+    text = render_depth_page(
+        summarise(replace(record, units_per_metre=10.5, units_origin="demo.json"))
+    )
     assert "One metre is 10.5 world units: demo.json." in " ".join(text.split())
     low, high = record.cameras[0].pictures.depth_range
     assert f"<span>{high / 10.5:.2f} m</span>" in text
@@ -372,8 +489,12 @@ def test_world_units_are_told_in_metres_too(record):
 
 
 @pytest.mark.slow
-def test_complete_page_is_kept_and_a_damaged_one_written_again(page, plane_capture, stored, tmp_path):
-    """A page of the same depth is left alone; one that lost a picture is written again, without its old pictures."""
+def test_complete_page_is_kept_and_a_damaged_one_written_again(
+    page, plane_capture, stored, tmp_path
+):
+    """A page of the same depth is left alone; one that lost a picture is written again, without its
+    old pictures.
+    """
     store, depths = stored
     folder = Path(shutil.copytree(page.parent, tmp_path / "page"))
     written_ns = (folder / "index.html").stat().st_mtime_ns
@@ -403,5 +524,15 @@ def test_what_cannot_be_shown(plane_capture, tmp_path):
     """No depth to show, and depth that is not stored, are refused with what to do."""
     with refused(DepthError, "depth", "got none"):
         write_depth_page(tmp_path / "page", plane_capture, [], DepthStore(tmp_path), FILLED)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DepthError, match="wanted a stored depth map, got none"):
-        examine_depth(pool, tmp_path, plane_capture, [StoredDepth(JOBS[0], (0,))], DepthStore(tmp_path / "none"), FILLED)
+    with (
+        ThreadPoolExecutor(1) as pool,
+        pytest.raises(DepthError, match="wanted a stored depth map, got none"),
+    ):
+        examine_depth(
+            pool,
+            tmp_path,
+            plane_capture,
+            [StoredDepth(JOBS[0], (0,))],
+            DepthStore(tmp_path / "none"),
+            FILLED,
+        )

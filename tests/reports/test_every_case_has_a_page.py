@@ -1,4 +1,6 @@
-"""A page in every case: whatever a run lacks, all outputs are written, and the headline says what happened and what to do."""
+"""A page in every case: whatever a run lacks, all outputs are written, and the headline says what
+happened and what to do.
+"""
 
 import html
 import importlib.util
@@ -22,8 +24,16 @@ from helpers.small_runs import leave_out_pixels
 
 LABELS = ("late", "ours-geometric")
 NAMES = (("late", "late"), ("ours-geometric", "GGVS (online), geometric weights"))
-WHOLE = RunShape(frames=Frames(0, 4), labels=LABELS, names=NAMES, metrics=("PSNR", "SSIM", "TCC", "SDT", "SDV"))
-LATE = ("frame offset", "certain", "frame t shows instant t-1: motion", "renumber the frames by -1: counted from 0?", "late")
+WHOLE = RunShape(
+    frames=Frames(0, 4), labels=LABELS, names=NAMES, metrics=("PSNR", "SSIM", "TCC", "SDT", "SDV")
+)
+LATE = (
+    "frame offset",
+    "certain",
+    "frame t shows instant t-1: motion",
+    "renumber the frames by -1: counted from 0?",
+    "late",
+)
 
 
 def mark_faulty(results: Results) -> Results:
@@ -34,7 +44,10 @@ def mark_faulty(results: Results) -> Results:
 
 def mark_partial(results: Results) -> Results:
     """Every method without some frames."""
-    marks = {label: "partial in room: 1 of 2 views complete" for label in dict.fromkeys(results.row_labels)}
+    marks = {
+        label: "partial in room: 1 of 2 views complete"
+        for label in dict.fromkeys(results.row_labels)
+    }
     return replace(results, provenance=results.provenance | {"partial": marks})
 
 
@@ -58,12 +71,18 @@ class Case:
 
 
 CASES = {
-    "all at fault": Case({}, mark_faulty, "Nothing is ranked: late shows every frame one instant late"),
-    "all partial": Case({}, mark_partial, "Nothing is ranked: late is partial in room: 1 of 2 views complete"),
+    "all at fault": Case(
+        {}, mark_faulty, "Nothing is ranked: late shows every frame one instant late"
+    ),
+    "all partial": Case(
+        {}, mark_partial, "Nothing is ranked: late is partial in room: 1 of 2 views complete"
+    ),
     "one frame": Case({"frames": Frames(0, 1)}),
     "one view": Case({"views": ("cam00",)}),
     "one method": Case({"labels": ("late",)}),
-    "nothing measured": Case({}, measure_nothing, "Nothing is ranked: PSNR was not computed, its weights are absent"),
+    "nothing measured": Case(
+        {}, measure_nothing, "Nothing is ranked: PSNR was not computed, its weights are absent"
+    ),
     "no path": Case({"poses": 0}),
 }
 EDITS = ("all at fault", "all partial", "nothing measured")
@@ -84,10 +103,11 @@ PAIRS = [pair for pair in combinations(CASES, 2) if not {*pair} <= {*EDITS}]
     ids=lambda value: value if isinstance(value, str) else " + ".join(value),
 )
 def test_every_output_is_written_and_says_what_happened(tmp_path, monkeypatch, drawn, names):
-    """Page, Markdown, LaTeX, CSV, Excel, leaderboard, trackers; a figure is drawn, or refused with a reason in one line.
+    """Page, Markdown, LaTeX, CSV, Excel, leaderboard, trackers; a figure is drawn, or refused with
+    a reason in one line.
 
-    Each case alone and a still of one view by one method, figures whole but for their pixels; the proof draws them, and has each
-    two cases that can meet.
+    Each case alone and a still of one view by one method, figures whole but for their pixels; the
+    proof draws them, and has each two cases that can meet.
     """
     if drawn == "nothing":
         leave_out_pixels(monkeypatch)
@@ -113,8 +133,14 @@ def test_every_output_is_written_and_says_what_happened(tmp_path, monkeypatch, d
         assert (page.parent / f"tables.{kind}").stat().st_size > 0
     if importlib.util.find_spec("openpyxl"):
         assert (page.parent / "tables.xlsx").stat().st_size > 0
-    board = html.unescape(write_leaderboard([root], tmp_path / "board.html").read_text(encoding="utf-8"))
-    assert "Nothing is ranked" in board if headline.startswith("Nothing is ranked") else "<table" in board
+    board = html.unescape(
+        write_leaderboard([root], tmp_path / "board.html").read_text(encoding="utf-8")
+    )
+    assert (
+        "Nothing is ranked" in board
+        if headline.startswith("Nothing is ranked")
+        else "<table" in board
+    )
     if importlib.util.find_spec("tensorboardX"):
         track_results([root], "tensorboard", tmp_path / "tracked")
     for kind in ("crops", "failures", "epi", "time"):

@@ -1,4 +1,6 @@
-"""Tables of fitted methods: costs out of the records of jobs, the spread over seeds, the price of being online."""
+"""Tables of fitted methods: costs out of the records of jobs, the spread over seeds, the price of
+being online.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,13 @@ from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.report import all_tables
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.section import Report, with_sections
-from ggvs_eval.reports.tables.costs import _crossing, budget_tables, cost_tables, differences_table, price_tables
+from ggvs_eval.reports.tables.costs import (
+    _crossing,
+    budget_tables,
+    cost_tables,
+    differences_table,
+    price_tables,
+)
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import Outcome, compare
@@ -36,7 +44,9 @@ def cells(table, name: str) -> dict[str, str]:
 
 
 def test_costs_of_every_method(fitted_run):
-    """Of a fit: cameras, images, look-ahead, mean seconds over the folds, machine, megabytes, seeds; of ours what it has."""
+    """Of a fit: cameras, images, look-ahead, mean seconds over the folds, machine, megabytes,
+    seeds; of ours what it has.
+    """
     costs, *_ = cost_tables(read_run(fitted_run))
     rendering = cells(costs, "GGVS (online)")["rendering"]
     assert cells(costs, "4DGS") == {
@@ -52,7 +62,12 @@ def test_costs_of_every_method(fitted_run):
     }
     assert float(rendering) == pytest.approx(33.0)  # median of 30, 33, 36 ms
     ours = cells(costs, "GGVS (online)")
-    assert (ours["cameras used"], ours["images used"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "8", "0", "not fitted")
+    assert (ours["cameras used"], ours["images used"], ours["look-ahead"], ours["fitting"]) == (
+        "2 of 5",
+        "8",
+        "0",
+        "not fitted",
+    )
 
 
 def test_costs_of_a_run_without_fits(tmp_path):
@@ -62,15 +77,26 @@ def test_costs_of_a_run_without_fits(tmp_path):
         write_json(file, read_json(file) | {"peak_bytes": 640_000_000})
     (costs,) = cost_tables(read_run(root))
 
-    assert [column.name for column in costs.columns] == ["cameras used", "images used", "look-ahead", "rendering", "peak memory"]
+    assert [column.name for column in costs.columns] == [
+        "cameras used",
+        "images used",
+        "look-ahead",
+        "rendering",
+        "peak memory",
+    ]
     assert {cells(costs, row.name)["peak memory"] for row in costs.rows} == {"640", "not recorded"}
 
 
 def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
-    """A method's lengths are one row; the crossing lies between two of them, before the first, or nowhere."""
+    """A method's lengths are one row; the crossing lies between two of them, before the first, or
+    nowhere.
+    """
     labels = ("ours", "4dgs+steps=100", "4dgs+steps=900")
     root = write_run(
-        tmp_path / "run", RunShape(labels=labels, names=tuple(zip(labels, labels, strict=True)), metrics=("PSNR",), poses=0)
+        tmp_path / "run",
+        RunShape(
+            labels=labels, names=tuple(zip(labels, labels, strict=True)), metrics=("PSNR",), poses=0
+        ),
     )
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
     make_fitted(root, labels[1:])
@@ -90,15 +116,22 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
     never = crossing("worse", "worse")
     assert (never.text, never.value) == ("not reached", None)
     assert never.hint.endswith("after 90.00 s")
-    assert (crossing("worse", "too short").text, crossing("too short", "better").value) == ("too short to call", None)
+    assert (crossing("worse", "too short").text, crossing("too short", "better").value) == (
+        "too short to call",
+        None,
+    )
 
 
 def test_families_stand_in_the_order_of_the_run(tmp_path):
-    """Equal inputs give equal tables; a family of one fit is called by the shown name without its steps, never by the label."""
+    """Equal inputs give equal tables; a family of one fit is called by the shown name without its
+    steps, never by the label.
+    """
     labels = ("ours", "3dgs-per-instant+steps=300", "3dgstream", "4dgs", "fwd", "ibrnet", "mvsplat")
     titles = ("GGVS (online)", "3DGS per Instant, 300 steps", *labels[2:])
     names = (("3dgs-per-instant", "3DGS per Instant"), *zip(labels, titles, strict=True))
-    root = write_run(tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0))
+    root = write_run(
+        tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0)
+    )
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
     measured = read_run(make_fitted(root, labels[1:]))
     table = next(table for table in budget_tables(measured) if table.key == "equal_quality")
@@ -106,10 +139,15 @@ def test_families_stand_in_the_order_of_the_run(tmp_path):
 
 
 def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path):
-    """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out; one 3 dB ahead has a line."""
+    """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out;
+    one 3 dB ahead has a line.
+    """
     labels = ("ours", "4dgs+steps=100", "4dgs+steps=200", "4dgs+steps=900")
     names = tuple(zip(labels, labels, strict=True))
-    root = write_run(tmp_path / "run", RunShape(frames=Frames(0, 24), labels=labels, names=names, metrics=("PSNR",), poses=0))
+    root = write_run(
+        tmp_path / "run",
+        RunShape(frames=Frames(0, 24), labels=labels, names=names, metrics=("PSNR",), poses=0),
+    )
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
     make_fitted(root, labels[1:])
     for label, factor in zip(labels[1:], (1, 2, 9), strict=True):
@@ -136,17 +174,26 @@ def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path
 
 
 def test_other_seeds_stand_in_the_spread_alone(fitted_run):
-    """Rows, pictures and ranks show the first seed; the spread is the largest minus the smallest number."""
+    """Rows, pictures and ranks show the first seed; the spread is the largest minus the smallest
+    number.
+    """
     measured = read_run(fitted_run)
     assert measured.labels == ("ours-geometric", FITTED)
     assert SEED not in {
-        f"{m}+{v}" for m, v in zip(measured.results.table["method"], measured.results.table["variant"], strict=True)
+        f"{m}+{v}"
+        for m, v in zip(
+            measured.results.table["method"], measured.results.table["variant"], strict=True
+        )
     }
     spread = next(table for table in cost_tables(measured) if table.key == "seeds")
     summary = Results.read(fitted_run).summary().droplevel("dataset")["PSNR"]
     (row,) = spread.rows
-    assert row.cells[0].value == pytest.approx(abs(summary[("fwd", "")] - summary[("fwd", "seed=1")]))
-    assert row.cells[0].note == ", ".join(f"{summary[('fwd', variant)]:.2f}" for variant in ("", "seed=1"))
+    assert row.cells[0].value == pytest.approx(
+        abs(summary[("fwd", "")] - summary[("fwd", "seed=1")])
+    )
+    assert row.cells[0].note == ", ".join(
+        f"{summary[('fwd', variant)]:.2f}" for variant in ("", "seed=1")
+    )
 
 
 def test_price_is_the_paired_difference_with_its_interval(fitted_run):
@@ -165,7 +212,9 @@ def test_price_is_the_paired_difference_with_its_interval(fitted_run):
 
 
 def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
-    """What was declared stands beside what the protocol makes the same; of other people's frames nothing is known."""
+    """What was declared stands beside what the protocol makes the same; of other people's frames
+    nothing is known.
+    """
     declared = {"depth": "given", "learned from": "this capture", "not as published": "fewer steps"}
     file = fitted_run / METHODS_FILE
     before = read_json(file)
@@ -183,5 +232,9 @@ def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
 
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):
     """No price, no seeds, no time to equal quality."""
-    report = with_sections(Report(read_groups([write_run(tmp_path / "run", RunShape(metrics=("PSNR",), poses=0))])))
-    assert not {"equal_quality", "budget", "seeds", "price"} & {table.key for table in all_tables(report, report.groups[0])}
+    report = with_sections(
+        Report(read_groups([write_run(tmp_path / "run", RunShape(metrics=("PSNR",), poses=0))]))
+    )
+    assert not {"equal_quality", "budget", "seeds", "price"} & {
+        table.key for table in all_tables(report, report.groups[0])
+    }

@@ -23,7 +23,9 @@ SHAPE = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> list[Path]:
-    """Two scenes under one protocol and one under another, without their frames; nobody changes them."""
+    """Two scenes under one protocol and one under another, without their frames; nobody changes
+    them.
+    """
     root = tmp_path_factory.mktemp("runs")
     shapes = {
         "first": replace(SHAPE, scene="first"),
@@ -38,7 +40,9 @@ def runs(tmp_path_factory) -> list[Path]:
 
 
 def test_one_page_has_the_tables_of_all_protocols(runs, tmp_path):
-    """Every number of each protocol's table is on the page, which loads nothing and says what does not compare."""
+    """Every number of each protocol's table is on the page, which loads nothing and says what does
+    not compare.
+    """
     page = write_leaderboard(runs, tmp_path / "board.html")
     read = PageReader(page.read_text(encoding="utf-8"))
 
@@ -63,24 +67,35 @@ def test_a_method_measured_twice_on_a_scene_is_refused(runs, tmp_path):
 
 def test_the_command_writes_a_leaderboard(runs, tmp_path, capsys):
     """`report --to leaderboard` prints the page that it wrote."""
-    run_command(["report", *map(str, runs), "--to", "leaderboard", "--out", str(tmp_path / "board.html")])
+    run_command(
+        ["report", *map(str, runs), "--to", "leaderboard", "--out", str(tmp_path / "board.html")]
+    )
     assert capsys.readouterr().out.strip() == str(tmp_path / "board.html")
     assert "Leaderboard" in (tmp_path / "board.html").read_text(encoding="utf-8")
 
 
 def test_published_rows_stand_on_the_page_under_their_own_protocol_alone(tmp_path):
-    """Of two scored runs, the one under n3v_4dgs has 4DGS's row in grey and its source below; the other has neither."""
-    run = write_run(tmp_path / "flame_steak", replace(SHAPE, scene="flame_steak", dataset="Neural 3D Video"))
+    """Of two scored runs, the one under n3v_4dgs has 4DGS's row in grey and its source below; the
+    other has neither.
+    """
+    run = write_run(
+        tmp_path / "flame_steak", replace(SHAPE, scene="flame_steak", dataset="Neural 3D Video")
+    )
     other = write_leaderboard([run], tmp_path / "other.html").read_text(encoding="utf-8")
     protocol = load_protocol("n3v_4dgs")
     protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=SHAPE.metrics))
     (run / "protocol.toml").write_text(protocol.to_toml())
     results = Results.read(run)
-    replace(results, provenance={**results.provenance, "protocol_sha256": protocol.sha256}).write(run)
+    replace(results, provenance={**results.provenance, "protocol_sha256": protocol.sha256}).write(
+        run
+    )
     page = write_leaderboard([run], tmp_path / "board.html").read_text(encoding="utf-8")
 
     assert '<tr class="published grey"' in page
     assert "4DGS (published, mean of 6 scenes)" in page
-    assert "Grey: Wu et al., 4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, CVPR 2024" in page
+    assert (
+        "Grey: Wu et al., 4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, CVPR 2024"
+        in page
+    )
     assert "published grey" not in other
     assert "4DGS" not in other

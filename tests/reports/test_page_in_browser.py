@@ -1,4 +1,6 @@
-"""The page as a whole in a real browser: it fits, loads nothing, and is led through by links and keys, whatever a run lacks."""
+"""The page as a whole in a real browser: it fits, loads nothing, and is led through by links and
+keys, whatever a run lacks.
+"""
 
 import re
 import time
@@ -16,26 +18,55 @@ PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
 @pytest.mark.parametrize(
-    ("size", "dark"), [(DESKTOP, False), ((1000, 900), True), (PHONE, False)], ids=["desktop", "narrow", "phone"]
+    ("size", "dark"),
+    [(DESKTOP, False), ((1000, 900), True), (PHONE, False)],
+    ids=["desktop", "narrow", "phone"],
 )
 def test_fits_and_loads_nothing(started, painted, size, dark):
-    """On a desktop and on a phone, light and dark: no sideways scrolling, nothing loaded, no broken picture, no complaint."""
+    """On a desktop and on a phone, light and dark: no sideways scrolling, nothing loaded, no broken
+    picture, no complaint.
+    """
     started.visit(painted, size, dark)
-    assert started.run("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 0
-    assert started.run("performance.getEntriesByType('resource').filter(e => !e.name.startsWith('data:')).length") == 0
-    assert started.wait("[...document.querySelectorAll('img[src]')].every(image => image.complete && image.naturalWidth > 0)")
-    paper = [int(n) for n in re.findall(r"\d+", started.run("getComputedStyle(document.body).backgroundColor"))]
+    assert (
+        started.run("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        <= 0
+    )
+    assert (
+        started.run(
+            "performance.getEntriesByType('resource').filter(e => "
+            "!e.name.startsWith('data:')).length"
+        )
+        == 0
+    )
+    assert started.wait(
+        "[...document.querySelectorAll('img[src]')].every(image => image.complete && "
+        "image.naturalWidth > 0)"
+    )
+    paper = [
+        int(n)
+        for n in re.findall(r"\d+", started.run("getComputedStyle(document.body).backgroundColor"))
+    ]
     assert max(paper) < 40 if dark else min(paper) > 240
     assert started.complaints() == []
 
 
 def is_dark(browser) -> bool:
     """Whether the page is dark, read from what lies behind its text."""
-    return max(int(n) for n in re.findall(r"\d+", browser.run("getComputedStyle(document.body).backgroundColor"))) < 40
+    return (
+        max(
+            int(n)
+            for n in re.findall(
+                r"\d+", browser.run("getComputedStyle(document.body).backgroundColor")
+            )
+        )
+        < 40
+    )
 
 
 def open_again(browser, page, theme: str, dark: bool = False) -> None:
-    """Open a page that keeps a theme; what is stored just before a page is left may be lost, and is chosen anew then."""
+    """Open a page that keeps a theme; what is stored just before a page is left may be lost, and is
+    chosen anew then.
+    """
     for pause_s in PAUSES_S:
         time.sleep(pause_s)
         browser.visit(page, dark=dark)
@@ -46,7 +77,9 @@ def open_again(browser, page, theme: str, dark: bool = False) -> None:
 
 
 def test_theme_is_switched_by_keyboard_and_kept(started, painted):
-    """Radio buttons show the page dark, light or as the system is, by arrow keys too; a choice outlives the page."""
+    """Radio buttons show the page dark, light or as the system is, by arrow keys too; a choice
+    outlives the page.
+    """
     started.visit(painted)
     try:
         started.run("document.querySelector('.theme input:checked').focus()")
@@ -67,9 +100,16 @@ def test_theme_is_switched_by_keyboard_and_kept(started, painted):
 
 
 def test_theme_needs_no_storage(started, painted):
-    """Where the browser lets a page from disk keep nothing, the switch works until the page is closed, without complaint."""
-    refuse = "Object.defineProperty(window, 'localStorage', {get() { throw new DOMException('refused', 'SecurityError'); }})"
-    added = started.driven.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": refuse})
+    """Where the browser lets a page from disk keep nothing, the switch works until the page is
+    closed, without complaint.
+    """
+    refuse = (
+        "Object.defineProperty(window, 'localStorage', {get() { throw new "
+        "DOMException('refused', 'SecurityError'); }})"
+    )
+    added = started.driven.execute_cdp_cmd(
+        "Page.addScriptToEvaluateOnNewDocument", {"source": refuse}
+    )
     try:
         started.visit(painted)
         started.click(".theme input[value=dark]")
@@ -81,12 +121,13 @@ def test_theme_needs_no_storage(started, painted):
     assert started.complaints() == []
 
 
-# Pixels that the strips of a row leave free to the right, and that pictures leave free in their strips.
+# Pixels that the strips of a row leave free to the right, and that pictures leave free in their
+# strips.
 FREE = """(strips => Math.max(...[...document.querySelectorAll('.cuts canvas')].map(canvas => {
     const cell = canvas.closest('.cut').getBoundingClientRect(), box = canvas.getBoundingClientRect();
     return Math.max(cell.width - box.width, cell.height - box.height);
 }), strips.getBoundingClientRect().right - Math.max(...[...strips.children].map(one => one.getBoundingClientRect().right))))(
-    document.querySelector('.cuts'))"""
+    document.querySelector('.cuts'))"""  # noqa: E501
 
 
 @pytest.mark.slow
@@ -98,13 +139,20 @@ FREE = """(strips => Math.max(...[...document.querySelectorAll('.cuts canvas')].
         RunShape(metrics=("STED",), path_truth=False),
         RunShape(labels=LABELS[:1], views=("cam00",), metrics=("PSNR",)),
     ],
-    ids=["one frame, no path", "one frame", "no value per frame, virtual path", "one method, one view"],
+    ids=[
+        "one frame, no path",
+        "one frame",
+        "no value per frame, virtual path",
+        "one method, one view",
+    ],
 )
 def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     """Whatever a run lacks, its page works without a complaint, and says what there is not."""
     started.visit(write_page([write_run(tmp_path / "run", shape)], tmp_path / "index.html"))
     follows_rows, has_time = shape.frames.count > 1 or shape.poses > 0, shape.frames.count > 1
-    assert started.run("['through', 'heat', 'curves', 'videos'].map(id => document.getElementById(id) !== null)") == [
+    assert started.run(
+        "['through', 'heat', 'curves', 'videos'].map(id => document.getElementById(id) !== null)"
+    ) == [
         follows_rows,
         *[has_time] * 3,
     ]
@@ -113,7 +161,9 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
         assert started.run(FREE) < 2
         assert ("no truth on a virtual path" in started.text(".cuts")) == (not shape.path_truth)
     if has_time:
-        assert ("No metric of this run has a value per frame" in started.text("#heat")) == (shape.metrics == ("STED",))
+        assert ("No metric of this run has a value per frame" in started.text("#heat")) == (
+            shape.metrics == ("STED",)
+        )
     started.focus(".stage")
     started.press("v", "b", "m", "d", "+", "0", "\ue014")
     assert clock(started).startswith(f"frame {shape.frames.start + (shape.frames.count > 1)} of")
@@ -122,15 +172,25 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
 
 @pytest.mark.slow
 def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
-    """Two protocols on one page: a tab leads to each, its controls and the keys move its viewer and not the other's."""
-    shapes = (replace(SHAPE, metrics=("PSNR",), poses=2), replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2))
+    """Two protocols on one page: a tab leads to each, its controls and the keys move its viewer and
+    not the other's.
+    """
+    shapes = (
+        replace(SHAPE, metrics=("PSNR",), poses=2),
+        replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2),
+    )
     runs = [write_run(tmp_path / str(number), shape, paint) for number, shape in enumerate(shapes)]
     started.visit(write_page(runs, tmp_path / "index.html"))
-    clocks = "[...document.querySelectorAll('[data-role=clock]')].map(clock => clock.textContent.slice(0, 14))"
+    clocks = (
+        "[...document.querySelectorAll('[data-role=clock]')].map(clock => "
+        "clock.textContent.slice(0, 14))"
+    )
     assert started.run(clocks) == ["frame 2 of 2–5", ""]
     started.click(".rooms a:nth-child(2)")
     assert started.run("location.hash") == "#group1"
-    assert started.run("['group0', 'group1'].map(id => document.querySelector(`#${id} .stage`).checkVisibility())") == [
+    assert started.run(
+        "['group0', 'group1'].map(id => document.querySelector(`#${id} .stage`).checkVisibility())"
+    ) == [
         False,
         True,
     ]
@@ -138,7 +198,9 @@ def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
     started.run("document.querySelectorAll('.stage')[1].focus()")
     started.press("\ue014", "v")
     assert started.run(clocks) == ["frame 2 of 2–5", "frame 1 of 0–2"]
-    assert started.run("[...document.querySelectorAll('[data-role=view]')].map(view => view.value)") == ["cam00", "cam03"]
+    assert started.run(
+        "[...document.querySelectorAll('[data-role=view]')].map(view => view.value)"
+    ) == ["cam00", "cam03"]
     show_part(started, "group1-heat")
     started.click("#group1-heat .cells", 0.9, 0.25)
     assert started.run(clocks) == ["frame 2 of 2–5", "frame 2 of 0–2"]
@@ -147,7 +209,9 @@ def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
 
 
 def test_everything_is_reached_by_the_tab_key(shown):
-    """Tab and enter alone reach the tabs, and in them heads of tables, heat maps, the stage, the scrubber and the zoom."""
+    """Tab and enter alone reach the tabs, and in them heads of tables, heat maps, the stage, the
+    scrubber and the zoom.
+    """
     expected = {
         "compare": {"|run", "|closer-look", "stage picture|", "|frame", "|view", "|closer"},
         "results": {"sort|"},
@@ -160,7 +224,12 @@ def test_everything_is_reached_by_the_tab_key(shown):
         reached = set()
         for _ in range(40):
             shown.press("\ue004")
-            reached.add(shown.run("document.activeElement.className + '|' + (document.activeElement.dataset.role ?? '')"))
+            reached.add(
+                shown.run(
+                    "document.activeElement.className + '|' + (document.activeElement.dataset.role "
+                    "?? '')"
+                )
+            )
             assert shown.run("getComputedStyle(document.activeElement).outlineStyle") != "none"
             if parts <= reached:
                 break
@@ -168,9 +237,12 @@ def test_everything_is_reached_by_the_tab_key(shown):
 
 
 def test_each_link_leads_to_its_section(shown):
-    """Every tab, and every place that older pages had a link to, brings what it names to the top, and to be seen."""
+    """Every tab, and every place that older pages had a link to, brings what it names to the top,
+    and to be seen.
+    """
     addresses = shown.run("[...document.querySelectorAll('.tabs a')].map(link => link.hash)")
-    of_run = (name for name, *_ in PARTS if name != "on-time")  # which a protocol without a stream lacks
+    # which a protocol without a stream lacks
+    of_run = (name for name, *_ in PARTS if name != "on-time")
     assert addresses == [f"#{name}" for name in ("group0", *of_run)]
     older = ["#through", "#errors", "#views", "#curves", "#group0"]
     for address in [*addresses, *older]:
@@ -178,24 +250,36 @@ def test_each_link_leads_to_its_section(shown):
             shown.run("location.hash = arguments[0]", address)
         else:
             shown.run("document.querySelector(`.tabs a[href='${arguments[0]}']`).click()", address)
-        shown.wait("location.hash === arguments[0] && document.querySelector(arguments[0]).checkVisibility()", address)
-        shown.wait("(top => top < 80 || scrollY + innerHeight >= document.documentElement.scrollHeight - 2)("
-                   "document.querySelector(arguments[0]).getBoundingClientRect().top)", address)  # fmt: skip
+        shown.wait(
+            "location.hash === arguments[0] && "
+            "document.querySelector(arguments[0]).checkVisibility()",
+            address,
+        )
+        shown.wait(
+            "(top => top < 80 || scrollY + innerHeight >= document.documentElement.scrollHeight - "
+            "2)(document.querySelector(arguments[0]).getBoundingClientRect().top)",
+            address,
+        )
 
 
 OPENED = """(parts => parts.map(part => [0, 1].map(() => {
     part.firstElementChild.click();
     return [part.open, part.lastElementChild.checkVisibility()];
-})))([...document.querySelectorAll('details:not(.caption)')].filter(part => part.checkVisibility()))"""
+})))([...document.querySelectorAll('details:not(.caption)')].filter(part => part.checkVisibility()))"""  # noqa: E501
 
 
-@pytest.mark.parametrize("size", [(1400, 900), (1000, 900), PHONE], ids=["desktop", "narrow", "phone"])
+@pytest.mark.parametrize(
+    "size", [(1400, 900), (1000, 900), PHONE], ids=["desktop", "narrow", "phone"]
+)
 def test_long_captions_are_two_lines_until_they_are_opened(started, painted, size):
-    """What is longer is behind "more", by a click; the plot of quality and time is next to the list of methods, not below it."""
+    """What is longer is behind "more", by a click; the plot of quality and time is next to the list
+    of methods, not below it.
+    """
     started.visit(painted, size, place="#results")
     lines = (
         "[...document.querySelectorAll('details.caption')].filter(one => one.checkVisibility())"
-        ".map(one => one.querySelector('span').clientHeight / parseFloat(getComputedStyle(one).lineHeight))"
+        ".map(one => one.querySelector('span').clientHeight / "
+        "parseFloat(getComputedStyle(one).lineHeight))"
     )
     folded = started.run(lines)
     assert folded
@@ -209,13 +293,19 @@ def test_long_captions_are_two_lines_until_they_are_opened(started, painted, siz
 
 
 def test_each_part_opens_and_closes(shown):
-    """Every part that is folded away shows what is in it when its head is clicked, and hides it the next time; by keys too."""
+    """Every part that is folded away shows what is in it when its head is clicked, and hides it the
+    next time; by keys too.
+    """
     opened = []
     for sheet in range(shown.run("document.querySelectorAll('.tabs a').length")):
         shown.run("document.querySelectorAll('.tabs a')[arguments[0]].click()", sheet)
         opened += shown.run(OPENED)
     assert len(opened) > 10
-    assert all(first[0] != second[0] and is_open == is_seen for first, second in opened for is_open, is_seen in (first, second))
+    assert all(
+        first[0] != second[0] and is_open == is_seen
+        for first, second in opened
+        for is_open, is_seen in (first, second)
+    )
     part = "#measured details"
     shown.run("document.querySelector('a[href=\"#measured\"]').click()")
     is_open = "document.querySelector(arguments[0]).open"

@@ -1,4 +1,6 @@
-"""What the page carries for its scripts: values over view and frame, pictures along the path, videos, the scripts themselves."""
+"""What the page carries for its scripts: values over view and frame, pictures along the path,
+videos, the scripts themselves.
+"""
 
 import base64
 import hashlib
@@ -14,7 +16,14 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.page.page import FIRST_SCRIPTS, SCRIPTS, STILL_SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.page.page import (
+    FIRST_SCRIPTS,
+    SCRIPTS,
+    STILL_SCRIPTS,
+    TEMPLATES,
+    page_script,
+    script_digest,
+)
 from ggvs_eval.reports.page.pictures import (
     FRAME_BYTES,
     PATH_BYTES,
@@ -42,7 +51,9 @@ def measured_run(tmp_path_factory):
 
 
 def test_heat_map_holds_the_results(measured_run):
-    """Each cell is the value to five digits, on one scale over all methods, or None; STED, one value per sequence, has no map."""
+    """Each cell is the value to five digits, on one scale over all methods, or None; STED, one
+    value per sequence, has no map.
+    """
     psnr, _, tcc = heat_maps(measured_run)
     table = measured_run.results.per_frame("PSNR", "cam03")
     for label in LABELS:
@@ -67,35 +78,51 @@ def test_infinite_values_are_no_colour(tmp_path):
 
 
 def test_heat_colours_brighten_steadily():
-    """Luminance rises from the best to the worst colour, so the map reads the same without colour vision."""
+    """Luminance rises from the best to the worst colour, so the map reads the same without colour
+    vision.
+    """
     luminance = heat_colours()[0] @ np.array([0.2126, 0.7152, 0.0722])
     assert (np.diff(luminance) > -1.0).all()
     assert luminance[-1] > luminance[0] + 150
 
 
 def test_path_pictures_hold_every_pose(measured_run, tmp_path):
-    """A short path is carried whole, the truth first; a run without a path has none; a narrow budget makes it narrower."""
+    """A short path is carried whole, the truth first; a run without a path has none; a narrow
+    budget makes it narrower.
+    """
     pictures = path_pictures(measured_run)
     assert pictures.poses == tuple(range(SHAPE.poses))
     assert pictures.keys == ("truth", *LABELS)
     assert {len(images) for images in pictures.images.values()} == {SHAPE.poses}
-    assert path_pictures(read_run(write_run(tmp_path / "run", RunShape(poses=0, metrics=("PSNR",))))) is None
+    assert (
+        path_pictures(read_run(write_run(tmp_path / "run", RunShape(poses=0, metrics=("PSNR",)))))
+        is None
+    )
 
 
 @pytest.mark.slow
 def test_path_pictures_are_bounded(tmp_path):
-    """A long path is thinned out until its pictures stay below the bound, and they keep within their budget."""
+    """A long path is thinned out until its pictures stay below the bound, and they keep within
+    their budget.
+    """
     shape = RunShape(width=480, height=48, poses=150, views=("cam00",), metrics=("PSNR",))
     pictures = path_pictures(read_run(write_run(tmp_path / "run", shape)), 800_000)
     count = sum(len(images) for images in pictures.images.values())
     assert count <= POSES_AT_MOST
     assert pictures.poses[:2] == (0, 2)
-    assert sum(len(text) for images in pictures.images.values() for text in images) * 3 / 4 <= 800_000 * 1.1
+    assert (
+        sum(len(text) for images in pictures.images.values() for text in images) * 3 / 4
+        <= 800_000 * 1.1
+    )
 
 
 def test_room_is_shared_by_what_there_is_to_show(measured_run, tmp_path):
-    """A run with twice the frames gets twice the room; pictures along a path go to the run that has one; none is left over."""
-    long = read_run(write_run(tmp_path / "long", RunShape(metrics=("PSNR",), frames=Frames(0, 8), poses=0)))
+    """A run with twice the frames gets twice the room; pictures along a path go to the run that has
+    one; none is left over.
+    """
+    long = read_run(
+        write_run(tmp_path / "long", RunShape(metrics=("PSNR",), frames=Frames(0, 8), poses=0))
+    )
     first, second = share_room([measured_run, long])
     assert second.frames == pytest.approx(2 * first.frames, rel=0.01)
     assert second.videos == pytest.approx(2 * first.videos, rel=0.01)
@@ -105,8 +132,18 @@ def test_room_is_shared_by_what_there_is_to_show(measured_run, tmp_path):
 
 
 def test_fewer_frames_are_shown_rather_than_none_clearly(tmp_path):
-    """Where all frames would be narrow, every so many-th is shown, wider, at least eight; with room all are shown whole."""
-    shape = RunShape(width=480, height=48, frames=Frames(0, 24), views=("cam00",), labels=LABELS[:1], poses=0, metrics=("PSNR",))
+    """Where all frames would be narrow, every so many-th is shown, wider, at least eight; with room
+    all are shown whole.
+    """
+    shape = RunShape(
+        width=480,
+        height=48,
+        frames=Frames(0, 24),
+        views=("cam00",),
+        labels=LABELS[:1],
+        poses=0,
+        metrics=("PSNR",),
+    )
     run = read_run(write_run(tmp_path / "run", shape))
     whole, tight = compare_frames(run), compare_frames(run, 48 * 1500)
     assert (whole.stride, whole.width) == (1, 480)
@@ -129,7 +166,9 @@ def decode(video: MethodVideo) -> list[np.ndarray]:
 
 
 def test_video_shows_every_view_and_frame(measured_run):
-    """The truth's video has all frames of the first view, then all of the second, in their order."""
+    """The truth's video has all frames of the first view, then all of the second, in their
+    order.
+    """
     videos = method_videos(measured_run, 30.0)
     assert [video.name for video in videos] == ["Truth", *measured_run.names.values()]
     shown = decode(videos[0])
@@ -143,9 +182,16 @@ def test_video_shows_every_view_and_frame(measured_run):
 
 @pytest.mark.slow
 def test_long_runs_give_short_videos(tmp_path):
-    """Of a run longer than the bound the beginning of one view is shown; one frame gives no video."""
+    """Of a run longer than the bound the beginning of one view is shown; one frame gives no
+    video.
+    """
     shape = RunShape(
-        frames=Frames(0, VIDEO_FRAMES_AT_MOST + 10), width=32, height=32, poses=0, labels=LABELS[:1], metrics=("PSNR",)
+        frames=Frames(0, VIDEO_FRAMES_AT_MOST + 10),
+        width=32,
+        height=32,
+        poses=0,
+        labels=LABELS[:1],
+        metrics=("PSNR",),
     )
     videos = method_videos(read_run(write_run(tmp_path / "long", shape)), 0.0)
     assert videos[0].views == ("cam00",)
@@ -156,23 +202,35 @@ def test_long_runs_give_short_videos(tmp_path):
 
 @pytest.mark.slow
 def test_every_script_is_in_the_page(measured_run, tmp_path):
-    """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly these two scripts."""
+    """All JavaScript files among the templates are inlined, in full, under a policy that allows
+    exactly these two scripts.
+    """
     used = {*FIRST_SCRIPTS, *SCRIPTS, *STILL_SCRIPTS}
     assert {f"{name}.js" for name in used} == {file.name for file in TEMPLATES.glob("*.js")}
     scripts = [page_script(FIRST_SCRIPTS), page_script()]
     page = write_report([Path(measured_run.folder.root)], tmp_path / "report", with_figures=False)
     text = page.read_text(encoding="utf-8")
-    assert [one for one in PageReader(text).texts if one.startswith('"use strict"')] == [one.strip() for one in scripts]
+    assert [one for one in PageReader(text).texts if one.startswith('"use strict"')] == [
+        one.strip() for one in scripts
+    ]
     files = [TEMPLATES / f"{name}.js" for name in (*FIRST_SCRIPTS, *SCRIPTS)]
     assert all(file.read_text(encoding="utf-8").strip() in "".join(scripts) for file in files)
-    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    digests = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
     assert [script_digest(script) for script in scripts] == digests
     assert f"script-src 'sha256-{digests[0]}' 'sha256-{digests[1]}';" in text
 
 
 def test_the_viewer_opens_with_ours(measured_run):
-    """Beside the truth stands the method itself, not a variant listed before it; without ours, the first with pictures."""
-    mixed = replace(measured_run, labels=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
+    """Beside the truth stands the method itself, not a variant listed before it; without ours, the
+    first with pictures.
+    """
+    mixed = replace(
+        measured_run,
+        labels=("no-blending", "ours+no-tsdf", "ours"),
+        ours=frozenset({"ours", "ours+no-tsdf"}),
+    )
     assert mixed.ours_first == ("ours", "ours+no-tsdf", "no-blending")
     assert replace(measured_run, labels=("mine",), ours=frozenset()).ours_first == ("mine",)
     assert replace(measured_run, labels=()).ours_first == ()

@@ -16,7 +16,9 @@ def page(tmp_path_factory):
     """The page of a sweep of three K, with a group for each."""
     sweep = write_sweep(tmp_path_factory.mktemp("sweeps") / "by-k")
     page = sweep / "index.html"
-    write_text(page, render_page(with_sections(Report(read_groups(sweep_runs(sweep)), sweeps=(sweep,)))))
+    write_text(
+        page, render_page(with_sections(Report(read_groups(sweep_runs(sweep)), sweeps=(sweep,))))
+    )
     return page
 
 
@@ -26,9 +28,13 @@ def test_section_of_a_sweep_fits_and_complains_of_nothing(started, page, size, d
     """On a desktop and on a phone, light and dark: nothing is broken or too wide, no complaint."""
     started.visit(page, size, dark)
     assert started.run("document.documentElement.scrollWidth") <= size[0]
-    assert started.wait("[...document.querySelectorAll('img[src]')].every(image => image.complete && image.naturalWidth > 0)")
+    assert started.wait(
+        "[...document.querySelectorAll('img[src]')].every(image => image.complete && "
+        "image.naturalWidth > 0)"
+    )
     assert started.run(
-        "(box => box.width > 250 && box.height > 100)(document.querySelector('#sweep0 svg[role=img]').getBoundingClientRect())"
+        "(box => box.width > 250 && box.height > 100)(document.querySelector('#sweep0 "
+        "svg[role=img]').getBoundingClientRect())"
     )
     assert started.complaints() == []
 
@@ -40,7 +46,9 @@ DOTS = """[...document.querySelectorAll('#sweep0 .plot:nth-child(1) circle')].ma
 
 
 def test_curves_over_k_are_seen(started, page):
-    """Each K is a dot per method, coloured as in the legend, further right where K is larger, higher where it is better."""
+    """Each K is a dot per method, coloured as in the legend, further right where K is larger,
+    higher where it is better.
+    """
     started.visit(page)
     found = started.run(DOTS)
     assert len(found) == len(LINES)
@@ -50,7 +58,10 @@ def test_curves_over_k_are_seen(started, page):
         assert [y for _, y, *_ in line] == sorted({y for _, y, *_ in line}, reverse=True)
     assert max(y for _, y, *_ in ours) < min(y for _, y, *_ in other)
     assert ours[-1][3] == "GGVS (online), K = 5: 30.5 dB"
-    legend = started.run("[...document.querySelectorAll('#sweep0 .legend line')].map(line => getComputedStyle(line).stroke)")
+    legend = started.run(
+        "[...document.querySelectorAll('#sweep0 .legend line')].map(line => "
+        "getComputedStyle(line).stroke)"
+    )
     assert legend == [ours[0][2], other[0][2]]
     assert started.complaints() == []
 
@@ -59,7 +70,10 @@ def test_table_of_a_sweep_sorts(started, page):
     """A head of its table sorts the lines best first, by quality and by time."""
     started.visit(page)
     rows = "[...document.querySelectorAll('#sweep0 tbody tr')].map(row => row.cells[0].textContent)"
-    by_quality = [f"{method}, K = {variant[1:]}" for variant, method, *_ in sorted(LINES, key=lambda line: -line[2])]
+    by_quality = [
+        f"{method}, K = {variant[1:]}"
+        for variant, method, *_ in sorted(LINES, key=lambda line: -line[2])
+    ]
     started.click("#sweep0 thead th:nth-child(2) .sort")
     assert started.run(rows) == by_quality
     started.click("#sweep0 thead th:nth-child(3) .sort")
@@ -73,6 +87,9 @@ def test_contents_lead_to_the_sweep_and_to_each_k(started, page):
     for address in (*(f"#group{at}" for at in range(len(KS))), "#sweep0"):
         started.click(f"a[href='{address}']")
         assert started.run("location.hash") == address
-        shown = "[...document.querySelectorAll('main > .sheet')].filter(sheet => !sheet.hidden).map(sheet => '#' + sheet.id)"
+        shown = (
+            "[...document.querySelectorAll('main > .sheet')].filter(sheet => "
+            "!sheet.hidden).map(sheet => '#' + sheet.id)"
+        )
         started.wait(f"({shown}).join() === arguments[0]", address)
     assert started.complaints() == []

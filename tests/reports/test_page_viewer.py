@@ -1,4 +1,6 @@
-"""The viewer in a real browser: two pictures compared, time, zoom and the chosen pixel, by mouse, keys and fingers."""
+"""The viewer in a real browser: two pictures compared, time, zoom and the chosen pixel, by mouse,
+keys and fingers.
+"""
 
 import re
 
@@ -11,7 +13,9 @@ from helpers.run_folders import LABELS, write_run
 
 
 def test_divider_wipes_between_the_pictures(shown):
-    """Left of the divider lies the left picture, right of it the right one; dragging the divider moves the border."""
+    """Left of the divider lies the left picture, right of it the right one; dragging the divider
+    moves the border.
+    """
     shown.choose("[data-role=left]", "no-blending")
     assert abs(shown.colour(STAGE, 0.3, 0.4)[0] - RED["no-blending"]) < 12
     assert abs(shown.colour(STAGE, 0.7, 0.4)[0] - RED["truth"]) < 12
@@ -21,16 +25,26 @@ def test_divider_wipes_between_the_pictures(shown):
 
 
 def test_blink_shows_one_picture_at_a_time(shown):
-    """`blink` shows the left picture, then the right one; `two` both side by side, `all` the truth and every method."""
+    """`blink` shows the left picture, then the right one; `two` both side by side, `all` the truth
+    and every method.
+    """
     shown.choose("[data-role=left]", "no-blending")
     shown.click("input[value=blink]")
     for is_second, label in ((True, "truth"), (False, "no-blending")):
-        shown.wait("document.querySelector('.stage').classList.contains('second') === arguments[0]", is_second)
-        shown.run("document.querySelector('.stage').classList.toggle('second', arguments[0])", is_second)
+        shown.wait(
+            "document.querySelector('.stage').classList.contains('second') === arguments[0]",
+            is_second,
+        )
+        shown.run(
+            "document.querySelector('.stage').classList.toggle('second', arguments[0])", is_second
+        )
         colours = [shown.run("getComputedStyle(document.querySelector('.over')).visibility")]
         assert colours == ["visible" if label == "truth" else "hidden"]
     assert shown.run("getComputedStyle(document.querySelector('.divider')).visibility") == "hidden"
-    counted = "[...document.querySelectorAll('[data-role=all] figure')].filter(f => f.offsetParent).map(f => f.dataset.key)"
+    counted = (
+        "[...document.querySelectorAll('[data-role=all] figure')].filter(f => "
+        "f.offsetParent).map(f => f.dataset.key)"
+    )
     shown.choose("[data-role=left]", "no-blending")
     shown.click("input[value=two]")
     assert shown.run(counted) == ["truth", "no-blending"]
@@ -39,7 +53,9 @@ def test_blink_shows_one_picture_at_a_time(shown):
 
 
 def test_time_moves_picture_clock_and_curves(shown):
-    """Arrow keys on the stage step through time: picture, clock, scrubber and the cursors of all curves go along."""
+    """Arrow keys on the stage step through time: picture, clock, scrubber and the cursors of all
+    curves go along.
+    """
     before = shown.run("document.querySelector('.plots .cursor').getAttribute('x1')")
     shown.focus(STAGE)
     shown.press("\ue014", "\ue014")
@@ -52,7 +68,9 @@ def test_time_moves_picture_clock_and_curves(shown):
 
 
 def test_zoom_is_shared_by_all_pictures(shown):
-    """Plus zooms every picture at the chosen pixel, dragging moves all; `fit` shows the whole; a click chooses what is seen."""
+    """Plus zooms every picture at the chosen pixel, dragging moves all; `fit` shows the whole; a
+    click chooses what is seen.
+    """
     pictures = "[...document.querySelectorAll('.picture .placed')].filter(e => e.offsetParent)"
     placed = f"[...new Set({pictures}.map(e => new DOMMatrix(getComputedStyle(e).transform).a))]"
     shown.click(STAGE, 0.2, 0.2)
@@ -74,7 +92,9 @@ def test_zoom_is_shared_by_all_pictures(shown):
 
 def zoom_of(browser) -> float:
     """How much the pictures are enlarged."""
-    return browser.run("Number(getComputedStyle(document.querySelector('.viewer')).getPropertyValue('--zoom'))")
+    return browser.run(
+        "Number(getComputedStyle(document.querySelector('.viewer')).getPropertyValue('--zoom'))"
+    )
 
 
 def pixel(browser) -> tuple[int, int]:
@@ -84,7 +104,9 @@ def pixel(browser) -> tuple[int, int]:
 
 
 def test_buttons_and_wheel_zoom(shown):
-    """The buttons zoom in, out and back; the wheel zooms while ctrl is held, and scrolls the page without."""
+    """The buttons zoom in, out and back; the wheel zooms while ctrl is held, and scrolls the page
+    without.
+    """
     shown.click("[data-role=closer]")
     shown.click("[data-role=closer]")
     assert zoom_of(shown) == 2.25
@@ -120,9 +142,14 @@ def test_keys_move_the_chosen_pixel(shown):
 
 
 def test_keys_choose_view_mode_divider_and_zoom(shown):
-    """V is the next view, m the next mode, b blinks or does not, shift and arrows move the divider, +, -, = and 0 zoom."""
+    """V is the next view, m the next mode, b blinks or does not, shift and arrows move the divider,
+    +, -, = and 0 zoom.
+    """
     shown.focus(STAGE)
-    views = [shown.press("v") or shown.run("document.querySelector('[data-role=view]').value") for _ in range(2)]
+    views = [
+        shown.press("v") or shown.run("document.querySelector('[data-role=view]').value")
+        for _ in range(2)
+    ]
     assert views == ["cam03", "cam00"]
     divider = "parseFloat(document.querySelector('.stage').style.getPropertyValue('--at'))"
     shown.press("\ue012", held="\ue008")
@@ -142,7 +169,9 @@ def test_keys_choose_view_mode_divider_and_zoom(shown):
 
 
 def test_button_plays_and_scrubber_goes_to_a_frame(shown):
-    """The button plays and pauses, and says which; a place on the scrubber is a frame, by arrow keys too."""
+    """The button plays and pauses, and says which; a place on the scrubber is a frame, by arrow
+    keys too.
+    """
     shown.click("[data-role=play]")
     assert shown.run("document.querySelector('[data-role=play]').ariaLabel") == "Pause"
     shown.wait("!document.querySelector('[data-role=clock]').textContent.startsWith('frame 2')")
@@ -157,7 +186,9 @@ def test_button_plays_and_scrubber_goes_to_a_frame(shown):
 
 
 def test_both_sides_and_the_view_are_chosen(shown):
-    """Each of the three lists changes what it names: the left picture, the right one, the view of both."""
+    """Each of the three lists changes what it names: the left picture, the right one, the view of
+    both.
+    """
     shown.choose("[data-role=left]", LABELS[0])
     shown.choose("[data-role=right]", LABELS[1])
     shown.choose("[data-role=view]", "cam03")
@@ -171,9 +202,14 @@ def test_both_sides_and_the_view_are_chosen(shown):
 
 
 def test_pictures_beside_each_other_and_error_maps_take_the_pointer(shown):
-    """In the grid and on an error map a click chooses the pixel, dragging moves all pictures, fingers and the wheel zoom."""
+    """In the grid and on an error map a click chooses the pixel, dragging moves all pictures,
+    fingers and the wheel zoom.
+    """
     shown.click("input[value=all]")
-    for picture in ("[data-role=all] figure:nth-child(2) .picture", "#errors figure:nth-child(2) .picture"):
+    for picture in (
+        "[data-role=all] figure:nth-child(2) .picture",
+        "#errors figure:nth-child(2) .picture",
+    ):
         shown.click("[data-role=fit]")
         shown.click(picture, 0.25, 0.75)
         assert np.abs(np.subtract(pixel(shown), (40, 90))).max() <= 1
@@ -193,13 +229,18 @@ SHOWN = "document.querySelector('.stage [data-role=under]').src"
 
 @pytest.mark.slow
 def test_frames_at_full_size_lie_beside_the_page(started, tmp_path):
-    """Where the screen has more pixels than the page's own picture, the frame on disk is shown; of a page alone, its own."""
+    """Where the screen has more pixels than the page's own picture, the frame on disk is shown; of
+    a page alone, its own.
+    """
     run = write_run(tmp_path / "run", SHAPE, paint)
     page = write_page([run], run / "report" / "index.html", standalone=False)
     started.visit(page)
     file = run / "renders" / "ours-geometric" / "cam00" / "0002.png"
     assert started.wait(f"{SHOWN} === arguments[0]", file.resolve().as_uri())
-    assert started.run("document.querySelector('.stage [data-role=under]').naturalWidth") == SHAPE.width
+    assert (
+        started.run("document.querySelector('.stage [data-role=under]').naturalWidth")
+        == SHAPE.width
+    )
     assert "full size" in started.text("[data-role=full]")
     started.focus(STAGE)
     started.press("\ue014")
@@ -216,7 +257,9 @@ def test_frames_at_full_size_lie_beside_the_page(started, tmp_path):
 
 
 def test_crops_are_chosen_by_eye(shown, painted):
-    """`c` marks a square on every picture, what is seen of a zoomed one; the command that the page prints draws it."""
+    """`c` marks a square on every picture, what is seen of a zoomed one; the command that the page
+    prints draws it.
+    """
     shown.click(STAGE, 0.5, 0.5)
     shown.focus(STAGE)
     shown.press("c")
@@ -226,7 +269,13 @@ def test_crops_are_chosen_by_eye(shown, painted):
     assert command.startswith("ggvs-eval figure crops run crops --view cam00 --frame 2 --squares ")
     assert command.endswith(f",{side} --methods ours-geometric")
     assert (
-        max(abs(a - b) for a, b in zip(*(map(int, each.split(",")) for each in (first, command.split()[10])), strict=True)) <= 1
+        max(
+            abs(a - b)
+            for a, b in zip(
+                *(map(int, each.split(",")) for each in (first, command.split()[10])), strict=True
+            )
+        )
+        <= 1
     )
     shown.press("+", "+", "c", "v")
     words = shown.text("[data-role=command]").split()

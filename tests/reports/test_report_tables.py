@@ -1,4 +1,6 @@
-"""Tables of the report: every number is the summary's, rounded; shading, published rows and times."""
+"""Tables of the report: every number is the summary's, rounded; shading, published rows and
+times.
+"""
 
 import csv
 import re
@@ -14,7 +16,17 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.model.table import SHORT, Cell, Column, Row, Table, format_half_width, format_value, rank, shade
+from ggvs_eval.reports.model.table import (
+    SHORT,
+    Cell,
+    Column,
+    Row,
+    Table,
+    format_half_width,
+    format_value,
+    rank,
+    shade,
+)
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.error_budget import decomposition_table
 from ggvs_eval.reports.tables.published import paper_beside, published_rows, published_values
@@ -40,11 +52,15 @@ def whole_run(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def report(whole_run, tmp_path_factory) -> Path:
     """Folder of its report."""
-    return write_report([whole_run], tmp_path_factory.mktemp("reports") / "report", with_figures=False).parent
+    return write_report(
+        [whole_run], tmp_path_factory.mktemp("reports") / "report", with_figures=False
+    ).parent
 
 
 def test_every_number_is_the_summary_rounded(whole_run, report):
-    """Each cell of the main tables is the value of Results.summary, rounded as the table of decimals says."""
+    """Each cell of the main tables is the value of Results.summary, rounded as the table of
+    decimals says.
+    """
     summary = Results.read(whole_run).summary()
     rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
     page = PageReader((report / "index.html").read_text(encoding="utf-8"))
@@ -65,9 +81,15 @@ def test_views_have_their_own_numbers(whole_run, report):
     """Each cell of the table per view is the mean over the frames of that view."""
     rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
     values = Results.read(whole_run).per_view("TCC")
-    shown = {(row["method"], row["column"]): float(row["value"]) for row in rows if row["table"] == "view-TCC"}
+    shown = {
+        (row["method"], row["column"]): float(row["value"])
+        for row in rows
+        if row["table"] == "view-TCC"
+    }
     assert shown == {
-        (NAMES["+".join(filter(None, key))], view): values.loc[key, view] for key in values.index for view in ("cam00", "cam03")
+        (NAMES["+".join(filter(None, key))], view): values.loc[key, view]
+        for key in values.index
+        for view in ("cam00", "cam03")
     }
 
 
@@ -85,15 +107,21 @@ def test_views_have_their_own_numbers(whole_run, report):
     ],
 )
 def test_values_are_rounded_as_the_paper_does(metric, value, text):
-    """Decimals are fixed per metric; STED has four significant digits; a perfect picture has infinite PSNR."""
+    """Decimals are fixed per metric; STED has four significant digits; a perfect picture has
+    infinite PSNR.
+    """
     assert format_value(value, METRICS[metric].decimals) == text
 
 
 def test_tables_follow_the_protocol_and_what_belongs_nowhere_comes_last(tmp_path):
-    """Columns stand in the protocol's order, tables in that of their first metric, and further measures behind all others."""
+    """Columns stand in the protocol's order, tables in that of their first metric, and further
+    measures behind all others.
+    """
     run = write_run(tmp_path / "run", RunShape(metrics=("SSIM_cc", "TCC", "SSIM", "PSNR"), poses=0))
     tables = main_tables([read_run(run)], Results.read(run))
-    heads = [(table.key, table.title, [column.name for column in table.columns]) for table in tables]
+    heads = [
+        (table.key, table.title, [column.name for column in table.columns]) for table in tables
+    ]
     assert heads == [
         ("consistency", "Temporal and view consistency", ["TCC"]),
         ("quality", "Image quality", ["SSIM", "PSNR"]),
@@ -102,20 +130,28 @@ def test_tables_follow_the_protocol_and_what_belongs_nowhere_comes_last(tmp_path
 
 
 def test_a_run_that_says_too_little_of_its_metrics_is_scored_again(tmp_path):
-    """A run folder of an older version, whose metrics have no table and no digits, is refused with what to do."""
+    """A run folder of an older version, whose metrics have no table and no digits, is refused with
+    what to do.
+    """
     run = write_run(tmp_path / "run", SMALL)
     notes = read_json(run / "metrics.json")
     del notes["PSNR"]["group"]
     write_json(run / "metrics.json", notes)
     with pytest.raises(
-        ResultsError, match=r"metrics.json: wanted decimals, .*group.* of PSNR, got .*; run `ggvs-eval score .*` again"
+        ResultsError,
+        match=r"metrics.json: wanted decimals, .*group.* of PSNR, got .*; run `ggvs-eval score .*` "
+        r"again",
     ):
         read_run(run)
 
 
 def test_missing_metric_says_why(tmp_path):
-    """Where a metric could not be computed its reason stands in the cell, and no cell is blank or NaN."""
-    run = write_run(tmp_path / "run", SMALL, not_computed={"LPIPS": "weights absent, run `make install`"})
+    """Where a metric could not be computed its reason stands in the cell, and no cell is blank or
+    NaN.
+    """
+    run = write_run(
+        tmp_path / "run", SMALL, not_computed={"LPIPS": "weights absent, run `make install`"}
+    )
     report = write_report([run], with_figures=False).parent
     for name in ("index.html", "tables.md", "tables.csv", "tables.tex"):
         text = re.sub(r"base64,[\w+/=]+", "", (report / name).read_text(encoding="utf-8"))
@@ -129,7 +165,9 @@ def labelled(*values: float, kind: str = "measured") -> list[Row]:
 
 
 def test_bold_is_the_judgements_and_the_better_half_blue():
-    """What is judged best alone is bold; the shade follows the gain curve of the paper's TeX; published rows have neither."""
+    """What is judged best alone is bold; the shade follows the gain curve of the paper's TeX;
+    published rows have neither.
+    """
     rows = [*labelled(1.0, 2.0, 2.98, 3.0), *labelled(9.0, kind="published")]
     column = [Column("PSNR", "dB", True)]
     ranked = [row.cells[0] for row in rank(column, rows, [{"3.0", "2.0", "9.0"}])]
@@ -149,15 +187,25 @@ def test_what_is_not_ranked_is_neither_bold_nor_shaded():
     rows = labelled(1.0, 2.0, 3.0)
     better = replace(rows[0], cells=(replace(rows[0].cells[0], unranked="is better than real"),))
     ranked = rank([Column("SDT", "", False)], [better, *rows[1:]], [{"2.0"}])
-    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in ranked] == [(False, False), (True, True), (False, False)]
+    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in ranked] == [
+        (False, False),
+        (True, True),
+        (False, False),
+    ]
 
 
 def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
-    """Numbers better than those of the captured images are shown and not ranked; the best up to there leads, untested."""
+    """Numbers better than those of the captured images are shown and not ranked; the best up to
+    there leads, untested.
+    """
     metrics = ("PSNR", "reprojection", "E_warp")
     root = write_run(tmp_path / "run", RunShape(metrics=metrics, poses=0))
     found = Results.read(root)
-    values = {"no-blending": (0.46, 1.0), "ours-geometric": (0.95, 1.8), "ours-geometric+no-temporal": (1.20, 2.5)}
+    values = {
+        "no-blending": (0.46, 1.0),
+        "ours-geometric": (0.95, 1.8),
+        "ours-geometric+no-temporal": (1.20, 2.5),
+    }
     rows = [
         ("Demo room", "room", *label.partition("+")[::2], "path", -1, metric, value)
         for label, pair in values.items()
@@ -166,7 +214,10 @@ def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
     table = pd.concat([found.table[found.table["metric"] == "PSNR"], make_table(rows)])
     replace(found, table=table).write(root)
     captured = {"reprojection": 0.8625, "E_warp": 1.5}
-    write_json(root / "references.json", [{"group": "path", "name": "Captured images", "note": "real.", "values": captured}])
+    write_json(
+        root / "references.json",
+        [{"group": "path", "name": "Captured images", "note": "real.", "values": captured}],
+    )
     run = read_run(root)
     (path,) = [table for table in main_tables([run], run.results) if table.key == "path"]
     assert [[cell.best for cell in row.cells] for row in path.rows] == [
@@ -179,14 +230,17 @@ def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
     assert path.rows[0].cells[0].value == 0.46
     assert not path.rows[0].cells[0].shade
     assert "not ranked: it is better than the captured images" in path.rows[0].cells[0].hint
-    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, which is better than the captured images" in " ".join(
-        path.notes
+    assert (
+        "Not ranked: No Blending in reprojection, No Blending in E_warp, which is better than the "
+        "captured images" in " ".join(path.notes)
     )
     assert all(leader.judgement.undecided for leader in leaders([path], metrics))
 
 
 def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
-    """Left out of its own rendering only is not held out; a protocol whose sources are no test views has no such sentence."""
+    """Left out of its own rendering only is not held out; a protocol whose sources are no test
+    views has no such sentence.
+    """
     run = read_run(write_run(tmp_path / "run", SMALL))
     two = replace(run.protocol, views=replace(run.protocol.views, test=("cam00", "cam03")))
     apart = replace(two, views=replace(two.views, sources=("cam01", "cam02")))
@@ -199,19 +253,28 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     foreign = replace(run, protocol=two, from_sources=frozenset())
     caption = main_tables([foreign], run.results)[0].caption
     assert "source" not in caption
-    mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[0].caption
+    mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[
+        0
+    ].caption
     assert f"K = 2 source views, except for {NAMES[LABELS[0]]}." in mixed
 
 
 def test_alone_nobody_is_best(tmp_path):
     """A single method is neither marked nor shaded, for want of a comparison."""
     run = read_run(write_run(tmp_path / "run", RunShape(labels=("ours-geometric",))))
-    cells = [cell for table in main_tables([run], run.results) for row in table.rows for cell in row.cells]
+    cells = [
+        cell
+        for table in main_tables([run], run.results)
+        for row in table.rows
+        for cell in row.cells
+    ]
     assert not any(cell.best or cell.shade for cell in cells)
 
 
 def test_latex_escapes_every_special_character():
-    """Each character that TeX obeys prints as itself; a table without rows is valid, its heads as the field writes them."""
+    """Each character that TeX obeys prints as itself; a table without rows is valid, its heads as
+    the field writes them.
+    """
     assert escape_latex("a_b 50% & {x} #1 $y$ ~ ^ \\") == (
         r"a\_b 50\% \& \{x\} \#1 \$y\$ \textasciitilde{} \textasciicircum{} \textbackslash{}"
     )
@@ -225,7 +288,9 @@ def test_latex_is_balanced(report):
     """Every environment is closed, every row of a tabular has as many cells as columns."""
     text = (report / "tables.tex").read_text(encoding="utf-8")
     assert re.findall(r"\\begin\{(\w+)\}", text).count("table") == text.count(r"\end{table}")
-    for columns, body in re.findall(r"\\begin\{tabular\}\{(l+c*)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
+    for columns, body in re.findall(
+        r"\\begin\{tabular\}\{(l+c*)\}(.*?)\\end\{tabular\}", text, re.DOTALL
+    ):
         rows = [line for line in body.splitlines() if line.endswith(r"\\")]
         assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(columns) - 1}
     assert re.search(r"\\cellcolor\[rgb\]\{0\.750, 0\.750, 1\}\\textbf\{", text)
@@ -235,7 +300,11 @@ def test_published_rows_stand_beside_their_own_dataset_only():
     """DyNeRF has the paper's rows and digits, a demo room none; the packaged tables are whole."""
     counts = Counter(value.table for value in published_values() if value.table)
     assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
-    values = [value for value in published_values() if (value.protocol, value.table) == ("dynerf", "quality")]
+    values = [
+        value
+        for value in published_values()
+        if (value.protocol, value.table) == ("dynerf", "quality")
+    ]
     rows = published_rows(values, ("PSNR", "PSNR_cc"))
     assert [row.name for row in rows][-1] == "Ours (paper)"
     assert [cell.text for cell in rows[-1].cells] == ["31.17", "not reported"]
@@ -244,10 +313,16 @@ def test_published_rows_stand_beside_their_own_dataset_only():
 
 
 def test_times_leave_out_the_first_frame(whole_run):
-    """Median and 95th percentile are over all frames but each view's first, and the total is the sum of the stages."""
+    """Median and 95th percentile are over all frames but each view's first, and the total is the
+    sum of the stages.
+    """
     table = timing_table(read_run(whole_run))
     assert [column.name for column in table.columns] == ["splat", "blend", "total"]
-    assert [cell.shown for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
+    assert [cell.shown for cell in table.rows[0].cells] == [
+        "11.0 (12.0)",
+        "22.0 (24.0)",
+        "33.0 (36.0)",
+    ]
     assert "K = 2, 64 × 48, 2 threads" in table.caption
 
 
@@ -261,7 +336,9 @@ def test_frames_of_others_have_no_times(tmp_path):
 
 @pytest.mark.slow
 def test_a_paper_chooses_its_columns(tmp_path):
-    """One table of the columns named, in their order, from whatever tables; its notes say nothing of any other column."""
+    """One table of the columns named, in their order, from whatever tables; its notes say nothing
+    of any other column.
+    """
     run = write_run(tmp_path / "run")
     measured = read_run(run)
     (table,) = main_tables([measured], measured.results, ("TCC", "PSNR"))
@@ -269,17 +346,27 @@ def test_a_paper_chooses_its_columns(tmp_path):
     quality, consistency = main_tables([measured], measured.results)[:2]
     for at, (whole, name) in enumerate(((consistency, "TCC"), (quality, "PSNR"))):
         place = [column.name for column in whole.columns].index(name)
-        assert [row.cells[at] for row in table.rows if row.competes] == [row.cells[place] for row in whole.rows if row.competes]
+        assert [row.cells[at] for row in table.rows if row.competes] == [
+            row.cells[place] for row in whole.rows if row.competes
+        ]
     assert "SDV" not in " ".join(table.notes)
     assert len(set(table.notes)) == len(table.notes)
     with pytest.raises(ResultsError, match=r"PSNRR was not measured; .*did you mean PSNR"):
         main_tables([measured], measured.results, ("PSNRR",))
-    report = write_report([run], tmp_path / "report", with_figures=False, columns=("TCC", "PSNR")).parent
-    assert "Method & TCC $\\uparrow$ & PSNR $\\uparrow$" in (report / "tables.tex").read_text(encoding="utf-8")
-    caption = re.search(r"\\caption\{(.*)\}", (report / "tables.tex").read_text(encoding="utf-8"))[1]
+    report = write_report(
+        [run], tmp_path / "report", with_figures=False, columns=("TCC", "PSNR")
+    ).parent
+    assert "Method & TCC $\\uparrow$ & PSNR $\\uparrow$" in (report / "tables.tex").read_text(
+        encoding="utf-8"
+    )
+    caption = re.search(r"\\caption\{(.*)\}", (report / "tables.tex").read_text(encoding="utf-8"))[
+        1
+    ]
     assert "Not ranked" not in caption
     assert len(caption) < 300
-    columns = {row["column"] for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8"))}
+    columns = {
+        row["column"] for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8"))
+    }
     assert columns > {"TCC", "PSNR"}
 
 
@@ -294,31 +381,48 @@ def test_a_paper_chooses_its_columns(tmp_path):
     ],
 )
 def test_intervals_have_the_digits_of_their_values(metric, value, half_width, text):
-    """A half width has the decimals of its value, or its first digit where those would print zero."""
+    """A half width has the decimals of its value, or its first digit where those would
+    print zero.
+    """
     assert format_half_width(value, half_width, METRICS[metric].decimals) == text
 
 
 def test_intervals_stand_in_every_format(whole_run, report):
-    """Each cell of the main tables has its interval: behind ± where people read, as bounds in the CSV."""
+    """Each cell of the main tables has its interval: behind ± where people read, as bounds in the
+    CSV.
+    """
     results, labels = Results.read(whole_run), {name: label for label, name in NAMES.items()}
-    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
+    main = [
+        row
+        for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8"))
+        if row["table"] == "quality"
+    ]
     page = PageReader((report / "index.html").read_text(encoding="utf-8"))
-    markdown, latex = ((report / f"tables.{kind}").read_text(encoding="utf-8") for kind in ("md", "tex"))
+    markdown, latex = (
+        (report / f"tables.{kind}").read_text(encoding="utf-8") for kind in ("md", "tex")
+    )
     assert len(main) == len(LABELS) * 5
     for row in main:
         interval = intervals(results, row["column"], "Demo room")[labels[row["method"]]]
         assert (float(row["lo"]), float(row["hi"])) == (interval.low, interval.high)
         assert row["note"] == interval.note
         assert interval.note.startswith("given this scene, these 2 views")
-        half = format_half_width(interval.value, interval.half_width, METRICS[row["column"]].decimals)
+        half = format_half_width(
+            interval.value, interval.half_width, METRICS[row["column"]].decimals
+        )
         half += SHORT * interval.is_short
         bold = row["best"] == "True"
         assert f"± {half}" in page.texts
-        assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
+        assert (
+            f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
+        )
         spread = rf"$\pm$ {half.removesuffix(SHORT)}"
         spread = rf"\textcolor{{gray}}{{{spread}$\dagger$}}" if interval.is_short else spread
         assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize {spread}}}" in latex
-    bold_means = "Bold: best, or not significantly worse (paired, 95 % for all methods and metrics together)."
+    bold_means = (
+        "Bold: best, or not significantly worse (paired, 95 % for all methods and metrics "
+        "together)."
+    )
     for said in ("given this scene, these 2 views.", bold_means):
         assert said in markdown
         assert said.replace("%", r"\%") in latex
@@ -326,7 +430,9 @@ def test_intervals_stand_in_every_format(whole_run, report):
 
 
 def write_tied_run(root: Path) -> Path:
-    """A run in which the first two methods differ by noise on views that differ a lot, and the third is a little worse."""
+    """A run in which the first two methods differ by noise on views that differ a lot, and the
+    third is a little worse.
+    """
     views, frames = tuple(f"cam{view:02}" for view in range(6)), 12
     write_run(root, RunShape(views, Frames(2, frames), 32, 32, 0, metrics=("PSNR",)))
     found, random = Results.read(root), np.random.default_rng(4)
@@ -342,26 +448,44 @@ def test_ties_are_bold_together(tmp_path):
     run = read_run(write_tied_run(tmp_path / "run"))
     (table,) = main_tables([run], run.results)
     cells = {row.name: row.cells[0] for row in table.rows}
-    assert {name for name, cell in cells.items() if cell.best} == {NAMES["no-blending"], NAMES["ours-geometric"]}
+    assert {name for name, cell in cells.items() if cell.best} == {
+        NAMES["no-blending"],
+        NAMES["ours-geometric"],
+    }
     assert len({cells[NAMES[label]].text for label in LABELS}) == 3
 
 
 def test_what_has_no_interval_says_why(tmp_path):
-    """With one frame nothing could be compared, so nothing is bold, no cell has bounds, and caption, page and CSV say why."""
+    """With one frame nothing could be compared, so nothing is bold, no cell has bounds, and
+    caption, page and CSV say why.
+    """
     shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
     report = write_report([write_run(tmp_path / "run", shape)], with_figures=False).parent
     markdown = (report / "tables.md").read_text(encoding="utf-8")
     assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
-    assert "Nothing is bold in PSNR, SSIM: nothing could be compared (1 frame; an interval needs 2)." in markdown
+    assert (
+        "Nothing is bold in PSNR, SSIM: nothing could be compared (1 frame; an interval needs 2)."
+        in markdown
+    )
     assert "±" not in markdown
-    assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(encoding="utf-8")
-    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
-    assert {(row["lo"], row["hi"], row["note"]) for row in main} == {("", "", "no interval: 1 frame; an interval needs 2")}
+    assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(
+        encoding="utf-8"
+    )
+    main = [
+        row
+        for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8"))
+        if row["table"] == "quality"
+    ]
+    assert {(row["lo"], row["hi"], row["note"]) for row in main} == {
+        ("", "", "no interval: 1 frame; an interval needs 2")
+    }
     assert not any(row["best"] == "True" for row in main)
 
 
 def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path):
-    """A rival that lacks a frame is neither bold nor silently dropped: its cell says why it was not compared."""
+    """A rival that lacks a frame is neither bold nor silently dropped: its cell says why it was not
+    compared.
+    """
     root = write_tied_run(tmp_path / "run")
     found = Results.read(root)
     gone = (found.table["method"] == "no-blending") & (found.table["frame"] == 5)
@@ -375,13 +499,24 @@ def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path
 
 
 def test_where_the_error_varies_adds_up(tmp_path):
-    """The shares of views, time and rest are those of the L1 matrix and add up to the whole; one frame has no such table."""
+    """The shares of views, time and rest are those of the L1 matrix and add up to the whole; one
+    frame has no such table.
+    """
     shape = RunShape(views=("cam00", "cam01"), metrics=("PSNR", "L1"), poses=0)
     run = read_run(write_run(tmp_path / "run", shape))
     table = decomposition_table(run)
     assert table is not None
     for row in table.rows:
         assert sum(cell.value for cell in row.cells[1:]) == pytest.approx(100)
-    l1 = run.results.table.query("metric == 'L1'").groupby(["method", "variant"], sort=False)["value"].mean()
+    l1 = (
+        run.results.table.query("metric == 'L1'")
+        .groupby(["method", "variant"], sort=False)["value"]
+        .mean()
+    )
     assert [row.cells[0].value for row in table.rows] == pytest.approx(list(l1))
-    assert decomposition_table(read_run(write_run(tmp_path / "one", replace(shape, frames=Frames(0, 1))))) is None
+    assert (
+        decomposition_table(
+            read_run(write_run(tmp_path / "one", replace(shape, frames=Frames(0, 1))))
+        )
+        is None
+    )

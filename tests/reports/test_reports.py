@@ -1,4 +1,6 @@
-"""Reports of small run folders: every number where it belongs, nothing loaded, nothing left blank."""
+"""Reports of small run folders: every number where it belongs, nothing loaded, nothing left
+blank.
+"""
 
 import re
 import shutil
@@ -42,20 +44,34 @@ def report(whole_run) -> Path:
 
 
 def test_report_is_whole(report):
-    """A report is a page, tables of each kind and the figures, and no temporary file stays behind."""
+    """A report is a page, tables of each kind and the figures, and no temporary file stays
+    behind.
+    """
     names = {str(file.relative_to(report)) for file in report.rglob("*") if file.is_file()}
-    curves = {f"curves_{metric}" for metric in ("PSNR", "PSNR_cc", "PSNR_static", "PSNR_disoccluded", "SSIM", "L1", "TCC")}
+    curves = {
+        f"curves_{metric}"
+        for metric in ("PSNR", "PSNR_cc", "PSNR_static", "PSNR_disoccluded", "SSIM", "L1", "TCC")
+    }
     figures = {"crops", "failures", "epi", "x-t_cam00", "x-t_cam01"} | curves
-    tables = {f"{name}.{kind}" for name in ("tables", "reproduction") for kind in ("md", "csv", "tex")}
-    assert names == {"index.html", "tables.xlsx", "job.json"} | tables | {f"figures/{name}.png" for name in figures}
+    tables = {
+        f"{name}.{kind}" for name in ("tables", "reproduction") for kind in ("md", "csv", "tex")
+    }
+    assert names == {"index.html", "tables.xlsx", "job.json"} | tables | {
+        f"figures/{name}.png" for name in figures
+    }
 
 
 def test_page_loads_nothing(report):
-    """Every address in the page is a picture or a video inside it or a place in it, and its policy forbids the rest."""
+    """Every address in the page is a picture or a video inside it or a place in it, and its policy
+    forbids the rest.
+    """
     text = (report / "index.html").read_text(encoding="utf-8")
     page = PageReader(text)
     assert page.addresses
-    assert all(re.match(r"data:image/(png|webp);base64,|data:video/mp4;base64,|#", address) for address in page.addresses)
+    assert all(
+        re.match(r"data:image/(png|webp);base64,|data:video/mp4;base64,|#", address)
+        for address in page.addresses
+    )
     assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
     assert not re.search(r"url\(|@import|\bfetch\(|XMLHttpRequest|import\(", text)
     assert "default-src 'none'" in text
@@ -63,16 +79,34 @@ def test_page_loads_nothing(report):
 
 @pytest.mark.slow
 def test_open_findings_of_check_are_on_the_page(tmp_path):
-    """What `check` found is on the first screen and in full in "What was measured"; an unchecked capture has the command."""
+    """What `check` found is on the first screen and in full in "What was measured"; an unchecked
+    capture has the command.
+    """
     run = RunFolder(write_run(tmp_path / "run"))
     assert "was not checked" in render_page(with_sections(Report(read_groups([run.root]))))
-    repeats = {"question": "frozen frames", "measured": "frames 3, 9 repeat the one before", "advice": "give the original video"}
-    findings = [{"subject": name, "verdict": "bad", "values": {}, **repeats} for name in ("cam01", "cam02")]
-    fine = {"subject": "rig", "question": "noise", "verdict": "ok", "measured": "2", "values": {}, "advice": ""}
+    repeats = {
+        "question": "frozen frames",
+        "measured": "frames 3, 9 repeat the one before",
+        "advice": "give the original video",
+    }
+    findings = [
+        {"subject": name, "verdict": "bad", "values": {}, **repeats} for name in ("cam01", "cam02")
+    ]
+    fine = {
+        "subject": "rig",
+        "question": "noise",
+        "verdict": "ok",
+        "measured": "2",
+        "values": {},
+        "advice": "",
+    }
     write_json(run.check_record, {"findings": [fine, *findings]})
     page = render_page(with_sections(Report(read_groups([run.root]))))
     assert "Check found faults in room: frozen frames." in page
-    assert "<dt>frozen frames, cam01, cam02</dt><dd>frames 3, 9 repeat the one before; give the original video</dd>" in page
+    assert (
+        "<dt>frozen frames, cam01, cam02</dt><dd>frames 3, 9 repeat the one before; give the "
+        "original video</dd>" in page
+    )
 
 
 def test_places_linked_in_the_page_exist(report):
@@ -107,10 +141,14 @@ def test_no_run_and_a_run_twice_are_refused(small_run, tmp_path):
 
 @pytest.mark.slow
 def test_two_scenes_share_one_page(tmp_path):
-    """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat maps and linked slices each."""
+    """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat
+    maps and linked slices each.
+    """
     shapes = (replace(SMALL, scene=scene, poses=2) for scene in ("room", "kitchen"))
     runs = [write_run(tmp_path / shape.scene, shape) for shape in shapes]
-    page = PageReader(write_report(runs, tmp_path / "report", with_figures=False).read_text(encoding="utf-8"))
+    page = PageReader(
+        write_report(runs, tmp_path / "report", with_figures=False).read_text(encoding="utf-8")
+    )
     assert page.tags.count("select") == 2 * (3 + 1 + 1)
     assert "room, kitchen" in page.texts
 
@@ -124,7 +162,10 @@ def lose_a_frame(run: Path) -> None:
 
 
 def exchange_the_protocol(run: Path) -> None:
-    shutil.copy(write_run(run.with_name("other"), RunShape(frames=Frames(0, 3))) / "protocol.toml", run / "protocol.toml")
+    shutil.copy(
+        write_run(run.with_name("other"), RunShape(frames=Frames(0, 3))) / "protocol.toml",
+        run / "protocol.toml",
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,7 +177,9 @@ def exchange_the_protocol(run: Path) -> None:
     ],
 )
 def test_what_does_not_belong_to_its_results_is_named(damage, words, tmp_path):
-    """Renders or a frame that were deleted after scoring, and results of another protocol than the one that lies beside them."""
+    """Renders or a frame that were deleted after scoring, and results of another protocol than the
+    one that lies beside them.
+    """
     run = write_run(tmp_path / "run")
     damage(run)
     with refused(GgvsError, *words):
@@ -145,13 +188,19 @@ def test_what_does_not_belong_to_its_results_is_named(damage, words, tmp_path):
 
 @pytest.mark.slow
 def test_single_frame_is_enough(tmp_path):
-    """A run of one frame has a report that says once that nothing is drawn over time: no curves, heat maps, slices or videos."""
+    """A run of one frame has a report that says once that nothing is drawn over time: no curves,
+    heat maps, slices or videos.
+    """
     run = write_run(
-        tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC")), not_computed={"TCC": "1 frame; needs 2"}
+        tmp_path / "run",
+        RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC")),
+        not_computed={"TCC": "1 frame; needs 2"},
     )
     text = write_report([run], with_figures=False).read_text(encoding="utf-8")
     assert text.count("is neither reported nor drawn") == 1
-    assert not re.search(r'id="(curves|heat|videos)"|Over time <|over time, t downwards|<video', text)
+    assert not re.search(
+        r'id="(curves|heat|videos)"|Over time <|over time, t downwards|<video', text
+    )
     assert 'id="views"' in text
     assert "not computed: 1 frame; needs 2" in text
     assert "of the only frame of each view" in text
@@ -159,7 +208,9 @@ def test_single_frame_is_enough(tmp_path):
 
 @pytest.mark.slow
 def test_run_without_path_says_so(tmp_path):
-    """Without frames along a camera path the page says that there is no epipolar plane image, and the rest is there."""
+    """Without frames along a camera path the page says that there is no epipolar plane image, and
+    the rest is there.
+    """
     page = write_report([write_run(tmp_path / "run", SMALL)], with_figures=False)
     assert "there is no epipolar plane image" in page.read_text(encoding="utf-8")
 
@@ -174,7 +225,9 @@ def test_equal_inputs_give_equal_bytes(whole_run, report, tmp_path):
 
 
 def test_page_tells_nothing_of_the_machine(whole_run, report):
-    """Neither the folder of the run nor the path of the capture stands in the page, only their names."""
+    """Neither the folder of the run nor the path of the capture stands in the page, only their
+    names.
+    """
     text = (report / "index.html").read_text(encoding="utf-8")
     assert str(whole_run.parent) not in text
     assert "ggvs-eval prepare run --capture room" in text
@@ -182,12 +235,16 @@ def test_page_tells_nothing_of_the_machine(whole_run, report):
 
 @pytest.mark.slow
 def test_page_names_the_depth(tmp_path):
-    """The facts and commands of a run name the matcher of its depth, without folders; a measured scale has four digits."""
+    """The facts and commands of a run name the matcher of its depth, without folders; a measured
+    scale has four digits.
+    """
     run = write_run(tmp_path / "run", SMALL)
     (run / "depth.json").write_text('{"matcher": "sgbm+itermvs:/home/somebody/model.ckpt"}')
     record = read_json(run / "capture.json") | {"units_per_metre": 8.481877397921176}
     write_json(run / "capture.json", record)
-    text = (write_report([run], with_figures=False).parent / "index.html").read_text(encoding="utf-8")
+    text = (write_report([run], with_figures=False).parent / "index.html").read_text(
+        encoding="utf-8"
+    )
     assert "depth by" in text
     assert "<dt>units per metre</dt><dd>8.482</dd>" in text
     assert "protocol.toml --matcher sgbm+itermvs:model.ckpt" in text
@@ -195,7 +252,9 @@ def test_page_names_the_depth(tmp_path):
 
 
 def test_error_map_is_black_where_right_and_bright_where_wrong(tmp_path):
-    """Equal pixels are the first colour of magma, differences at or above the full scale the last, whatever their size."""
+    """Equal pixels are the first colour of magma, differences at or above the full scale the last,
+    whatever their size.
+    """
     truth = np.full((4, 6, 3), 100, np.uint8)
     rendered = truth.copy()
     rendered[0, 0], rendered[1, 1] = 164, 255
@@ -220,17 +279,26 @@ def test_pictures_shrink_to_their_budget(tmp_path):
     run = read_run(write_run(tmp_path / "run", RunShape(width=480, height=96)))
     wide, narrow = compare_frames(run), compare_frames(run, 150_000)
     assert wide.width == 480 > narrow.width
-    texts = [text for view in narrow.images.values() for pictures in view.values() for text in pictures]
+    texts = [
+        text for view in narrow.images.values() for pictures in view.values() for text in pictures
+    ]
     assert len(texts) == 2 * 4 * 4
     assert sum(map(len, texts)) * 3 / 4 <= 150_000 * 1.05
 
 
 def test_curves_of_one_metric_share_their_axes(small_run):
-    """Panels of a metric have the same bounds in every view, and every point lies inside the drawing."""
+    """Panels of a metric have the same bounds in every view, and every point lies inside the
+    drawing.
+    """
     panels = [panel for panel in curve_panels(read_run(small_run)) if panel.metric == "TCC"]
     assert [panel.view for panel in panels] == ["cam00", "cam03"]
     assert len({panel.bounds for panel in panels}) == 1
-    points = [float(n) for panel in panels for curve in panel.curves for n in re.findall(r"[\d.]+", panel.points(curve))]
+    points = [
+        float(n)
+        for panel in panels
+        for curve in panel.curves
+        for n in re.findall(r"[\d.]+", panel.points(curve))
+    ]
     assert len(points) == 2 * len(LABELS) * 3 * 2
     assert all(10 <= x <= 330 for x in points[::2])
     assert all(10 <= y <= 146 for y in points[1::2])

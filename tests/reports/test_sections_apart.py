@@ -1,4 +1,6 @@
-"""Every section of a report can be deleted: the page is written without it, and one line names it."""
+"""Every section of a report can be deleted: the page is written without it, and one line
+names it.
+"""
 
 import html
 import re
@@ -17,10 +19,15 @@ from helpers.run_folders import RunShape, write_run
 SHAPE = RunShape(metrics=("PSNR", "TCC"), poses=2, views=("cam00",), frames=Frames(0, 2))
 TRUNK = {f"ggvs_eval.{name}" for name in reached_modules("reports.report")}
 LEAVES = {
-    f"ggvs_eval.{name}" for name, file in modules().items() if name.startswith("reports.") and file.stem != "__init__"
+    f"ggvs_eval.{name}"
+    for name, file in modules().items()
+    if name.startswith("reports.") and file.stem != "__init__"
 } - TRUNK
 OF_SECTIONS = {SECTIONS.root(name) for name in SECTIONS.known()}
-LINE = re.compile(r"section (.+?) (?:is part of|wants) (\S+), which is not installed; reinstall ggvs-eval or omit it")
+LINE = re.compile(
+    r"section (.+?) (?:is part of|wants) (\S+), which is not installed; reinstall ggvs-eval or "
+    r"omit it"
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +38,9 @@ def run(tmp_path_factory):
 
 @pytest.fixture
 def delete():
-    """Take modules away: they cannot be found, and what imports them is imported anew; later tests have all as it was."""
+    """Take modules away: they cannot be found, and what imports them is imported anew; later tests
+    have all as it was.
+    """
     loaded = {name: sys.modules[name] for name in LEAVES | OF_SECTIONS if name in sys.modules}
 
     def take_away(gone: set[str]) -> None:
@@ -54,24 +63,32 @@ def delete():
 @pytest.mark.slow
 @pytest.mark.parametrize("gone", sorted(OF_SECTIONS))
 def test_one_can_be_deleted(run, delete, tmp_path, capsys, gone):
-    """The page lacks what the module gives, and says so in a line, as the terminal does; no link of the rest is dead."""
+    """The page lacks what the module gives, and says so in a line, as the terminal does; no link of
+    the rest is dead.
+    """
     delete({gone})
     page = write_report([run], tmp_path, with_figures=False).read_text(encoding="utf-8")
 
     lines = LINE.findall(html.unescape(page))
     assert {module for _, module in lines} == {gone}
-    assert {name for name in SECTIONS.known() if SECTIONS.root(name) == gone} <= {name for name, _ in lines}
+    assert {name for name in SECTIONS.known() if SECTIONS.root(name) == gone} <= {
+        name for name, _ in lines
+    }
     assert LINE.findall(capsys.readouterr().err) == lines
     assert 'id="results"' in page
     assert set(re.findall(r'href="#([^"/]+)"', page)) <= {*re.findall(r'\bid="([^"]+)"', page)}
 
 
 def test_all_can_be_deleted(run, delete, tmp_path, capsys):
-    """Without any, and without all that they alone use, tables and the page are written; each one has its line."""
+    """Without any, and without all that they alone use, tables and the page are written; each one
+    has its line.
+    """
     delete(LEAVES | OF_SECTIONS)
     page = write_report([run], tmp_path).read_text(encoding="utf-8")
 
-    assert LINE.findall(html.unescape(page)) == [(name, SECTIONS.root(name)) for name in SECTIONS.known()]
+    assert LINE.findall(html.unescape(page)) == [
+        (name, SECTIONS.root(name)) for name in SECTIONS.known()
+    ]
     assert {file.name for file in tmp_path.iterdir()} == {
         "index.html",
         *(f"tables.{kind}" for kind in ("csv", "md", "tex", "xlsx")),
@@ -96,18 +113,22 @@ def counts(report):
 
 
 SECTIONS = {"counts": counts, "broken": lambda report: 1 / 0}
-"""
+"""  # noqa: E501
 
 
 def test_a_plugin_adds_a_section(run, monkeypatch, tmp_path, capsys):
-    """Its table is on the page and in the files, its sheet has a tab; another one that fails is a line."""
+    """Its table is on the page and in the files, its sheet has a tab; another one that fails is a
+    line.
+    """
     file = tmp_path / "my_sections.py"
     file.write_text(PLUGIN)
     monkeypatch.setenv(plugins.FILES, str(file))
     monkeypatch.setattr(sys, "path", [*sys.path])
     plugins._offered.cache_clear()
     try:
-        page = write_report([run], tmp_path / "report", with_figures=False).read_text(encoding="utf-8")
+        page = write_report([run], tmp_path / "report", with_figures=False).read_text(
+            encoding="utf-8"
+        )
     finally:
         plugins._offered.cache_clear()
 
@@ -115,6 +136,9 @@ def test_a_plugin_adds_a_section(run, monkeypatch, tmp_path, capsys):
     assert "Counted" in page
     assert '<a href="#mine">My sheet</a>' in page
     assert '<section id="mine" class="sheet"></section>' in page
-    line = f"section plug-in {file}: section 'broken' does not work (ZeroDivisionError: division by zero)"
+    line = (
+        f"section plug-in {file}: section 'broken' does not work (ZeroDivisionError: division "
+        f"by zero)"
+    )
     assert line in html.unescape(page)
     assert line in capsys.readouterr().err

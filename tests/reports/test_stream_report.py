@@ -1,4 +1,6 @@
-"""What is on the screen, in a report: its tables in every format, its figure, its part of the page."""
+"""What is on the screen, in a report: its tables in every format, its figure, its part of
+the page.
+"""
 
 import csv
 import json
@@ -22,8 +24,24 @@ from helpers.run_folders import RunShape, make_protocol, write_run
 LABELS = ("no-blending", "ours", "ours+scale=0.5", "4dgs")
 SCREENS = tuple(f"{label}@screen" for label in LABELS[:3])
 METRICS = ("PSNR", "LPIPS", "TCC", "SDV")
-FAST = {"shown": 3, "repeated": 0, "dropped": 0, "dark": 1, "latency_ms": 20.0, "latency_p95_ms": 25.0, "per_second": 50.0}
-SLOW = {"shown": 1, "repeated": 1, "dropped": 0, "dark": 2, "latency_ms": 66.0, "latency_p95_ms": 66.0, "per_second": 15.0}
+FAST = {
+    "shown": 3,
+    "repeated": 0,
+    "dropped": 0,
+    "dark": 1,
+    "latency_ms": 20.0,
+    "latency_p95_ms": 25.0,
+    "per_second": 50.0,
+}
+SLOW = {
+    "shown": 1,
+    "repeated": 1,
+    "dropped": 0,
+    "dark": 2,
+    "latency_ms": 66.0,
+    "latency_p95_ms": 66.0,
+    "per_second": 15.0,
+}
 RECORD = {
     "depth": "with live depth of its sources, measured here",
     "methods": {
@@ -51,12 +69,23 @@ def run(tmp_path_factory):
 
 
 def test_the_table_has_times_rates_and_counts(run):
-    """Milliseconds with the share of depth, latency in both units, and the reason where a method is not on the screen."""
+    """Milliseconds with the share of depth, latency in both units, and the reason where a method is
+    not on the screen.
+    """
     table = stream_table(read_run(run))
     assert table is not None
     shown = {row.name: [cell.shown for cell in row.cells] for row in table.rows}
 
-    assert shown["NO-BLENDING"] == ["20.0 (depth 12.0)", "50.00", "20 (25)", "0.6 (0.8)", "3", "0", "0", "1"]
+    assert shown["NO-BLENDING"] == [
+        "20.0 (depth 12.0)",
+        "50.00",
+        "20 (25)",
+        "0.6 (0.8)",
+        "3",
+        "0",
+        "0",
+        "1",
+    ]
     assert shown["OURS"][:4] == ["66.0 (depth 12.0)", "15.00", "66 (66)", "2.0 (2.0)"]
     assert shown["OURS+SCALE=0.5"][1] == "no limit"
     assert {cell.hint for cell in table.rows[3].cells} == {"offline: it needs the whole clip"}
@@ -68,7 +97,9 @@ def test_the_figure_joins_the_sizes_of_a_method(run, tmp_path):
     panels = rate_panels([read_run(run)])
 
     assert [panel.axes.metric for panel in panels] == ["PSNR", "LPIPS", "TCC"]
-    assert [(family.name, [mark.per_second for mark in family.marks]) for family in panels[0].families] == [
+    assert [
+        (family.name, [mark.per_second for mark in family.marks]) for family in panels[0].families
+    ] == [
         ("NO-BLENDING", [50.0]),
         ("OURS", [15.0]),
     ]
@@ -91,7 +122,9 @@ def test_a_method_at_a_fraction_of_its_size_alone_has_its_name(run):
 
 
 def test_what_is_seen_has_a_table_of_its_own(run):
-    """Every metric of frames, ranked among what is seen; no other table and no picture has these rows."""
+    """Every metric of frames, ranked among what is seen; no other table and no picture has these
+    rows.
+    """
     groups = read_groups([run])
     (table,) = stream_section(Report(groups)).tables[groups[0].id]
 
@@ -103,7 +136,9 @@ def test_what_is_seen_has_a_table_of_its_own(run):
 
 
 def test_two_rows_of_the_screen_are_compared_as_their_table_ranks_them(run):
-    """Against each other they are rows like any others; names of both are refused where there is none."""
+    """Against each other they are rows like any others; names of both are refused where there is
+    none.
+    """
     assert "better" in write_comparison(SCREENS[0], SCREENS[2], run)
     with pytest.raises(ResultsError, match="no values of method '4dgs@screen'"):
         write_comparison(SCREENS[0], "4dgs@screen", run)
@@ -111,7 +146,9 @@ def test_two_rows_of_the_screen_are_compared_as_their_table_ranks_them(run):
 
 @pytest.mark.slow
 def test_it_is_on_the_page_and_in_the_files(run, tmp_path):
-    """The part is there, its numbers once; Markdown, CSV and LaTeX have both tables; without a stream there is no such part."""
+    """The part is there, its numbers once; Markdown, CSV and LaTeX have both tables; without a
+    stream there is no such part.
+    """
     page = write_report([run], tmp_path / "report").read_text()
 
     assert 'id="on-time"' in page
@@ -127,4 +164,7 @@ def test_it_is_on_the_page_and_in_the_files(run, tmp_path):
     assert (tmp_path / "report" / "figures" / "stream.png").is_file()
 
     plain = write_run(tmp_path / "plain", RunShape(poses=0))
-    assert 'id="on-time"' not in write_report([plain], tmp_path / "other", with_figures=False).read_text()
+    assert (
+        'id="on-time"'
+        not in write_report([plain], tmp_path / "other", with_figures=False).read_text()
+    )

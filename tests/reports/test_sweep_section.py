@@ -1,4 +1,6 @@
-"""The folder of a sweep as a report: its table and its curves over K above the groups of its runs."""
+"""The folder of a sweep as a report: its table and its curves over K above the groups of
+its runs.
+"""
 
 import re
 from pathlib import Path
@@ -31,17 +33,29 @@ def page(sweep) -> str:
 
 
 def test_a_sweep_stands_for_its_runs(sweep, page):
-    """Each K is a group of its own, in the order of the sweep's table; the figure for a paper lies beside the page."""
+    """Each K is a group of its own, in the order of the sweep's table; the figure for a paper lies
+    beside the page.
+    """
     assert sweep_runs(sweep) == [sweep / f"k{k}" for k in KS]
-    assert re.findall(r'class="group-name">room <span class="on">tiny, K\xa0=\xa0(\d)', page) == ["2", "3", "5"]
+    assert re.findall(r'class="group-name">room <span class="on">tiny, K\xa0=\xa0(\d)', page) == [
+        "2",
+        "3",
+        "5",
+    ]
     assert (sweep / "report" / "figures" / "k.png").is_file()
 
 
 def test_table_and_curves_hold_what_was_swept(sweep, page):
-    """Every line of the sweep is a row, unranked; each K is a dot of each method, higher where the value is, time from 0 on."""
+    """Every line of the sweep is a row, unranked; each K is a dot of each method, higher where the
+    value is, time from 0 on.
+    """
     section = sweep_section(sweep, read_run(sweep / "k2").metrics)
-    assert [row.name for row in section.table.rows] == [f"{method}, K = {variant[1:]}" for variant, method, *_ in LINES]
-    assert [[cell.value for cell in row.cells] for row in section.table.rows] == [list(line[2:]) for line in LINES]
+    assert [row.name for row in section.table.rows] == [
+        f"{method}, K = {variant[1:]}" for variant, method, *_ in LINES
+    ]
+    assert [[cell.value for cell in row.cells] for row in section.table.rows] == [
+        list(line[2:]) for line in LINES
+    ]
     assert not any(cell.best for row in section.table.rows for cell in row.cells)
     psnr, seconds = section.panels
     assert section.ks == KS
@@ -57,9 +71,12 @@ def test_table_and_curves_hold_what_was_swept(sweep, page):
 
 
 def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
-    """A sweep over methods at one K shows its lines and no curve; of several captures the mean is a line and no run."""
+    """A sweep over methods at one K shows its lines and no curve; of several captures the mean is a
+    line and no run.
+    """
     (tmp_path / "sweep.csv").write_text(
-        "capture,variant,method,PSNR\na,demo,GGVS (online),30\nb,demo,GGVS (online),31\nmean,demo,GGVS (online),30.5\n"
+        "capture,variant,method,PSNR\na,demo,GGVS (online),30\nb,demo,GGVS "
+        "(online),31\nmean,demo,GGVS (online),30.5\n"
     )
     section = sweep_section(tmp_path, read_run(sweep / "k2").metrics)
     assert (section.panels, section.title) == ((), "Sweep")
@@ -73,11 +90,16 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
 
 @pytest.mark.slow
 def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
-    """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
+    """As `tables_of` it follows the groups, says on what it was measured, and which command shows
+    its runs.
+    """
     leave_out_pixels(monkeypatch)
-    page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
+    page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(
+        encoding="utf-8"
+    )
 
-    assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own
+    # one run, one group, which then has no frame of its own
+    assert 'class="group-name"' not in page
     assert page.index('id="videos"') < page.index('id="sweep0"') < page.index("<footer>")
     assert f"ggvs-eval report {sweep}" in page
     assert "protocol tiny: 4 frames of" in page
@@ -85,7 +107,9 @@ def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
 
 
 def test_a_method_has_one_colour_on_the_whole_page(page):
-    """First screen, curves over time and curves over K draw a method in the same colour; no backtick is left on the page."""
+    """First screen, curves over time and curves over K draw a method in the same colour; no
+    backtick is left on the page.
+    """
     colours: dict[str, set[str]] = {}
     for name, colour in re.findall(r'<th scope="row">([^<]+)</th>\s*<td class="track (c\d)"', page):
         colours.setdefault(name, set()).add(colour)

@@ -12,7 +12,13 @@ import pytest
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Cell, Row, Table
-from ggvs_eval.reports.tables.error_budget import CAUSES, budget_table, describe_absolute, describe_calibration, largest_cause
+from ggvs_eval.reports.tables.error_budget import (
+    CAUSES,
+    budget_table,
+    describe_absolute,
+    describe_calibration,
+    largest_cause,
+)
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.results import without_labels
@@ -20,7 +26,9 @@ from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import compare
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
-SHAPE = RunShape(frames=Frames(0, 24), metrics=("SSIM", "PSNR", "LPIPS"), poses=0, width=16, height=16)
+SHAPE = RunShape(
+    frames=Frames(0, 24), metrics=("SSIM", "PSNR", "LPIPS"), poses=0, width=16, height=16
+)
 WORST, MIDDLE, BEST = LABELS  # a baseline, a method of ours and its variant
 
 
@@ -30,7 +38,9 @@ def measured_run(tmp_path_factory) -> MeasuredRun:
     return read_run(write_run(tmp_path_factory.mktemp("verdict") / "run", SHAPE))
 
 
-def verdict_of(run: MeasuredRun, edit: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table) -> Verdict:
+def verdict_of(
+    run: MeasuredRun, edit: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table
+) -> Verdict:
     """The verdict on a run whose table of values was edited."""
     results = replace(run.results, table=edit(run.results.table.copy()))
     run = replace(run, results=results)
@@ -46,22 +56,29 @@ def of(table: pd.DataFrame, label: str, metric: str = "PSNR") -> pd.Series:
 
 
 def test_the_best_and_its_lead_with_the_paired_interval(measured_run):
-    """The lead is the paired difference to the runner-up, with its interval; PSNR is the headline, listed first or not."""
+    """The lead is the paired difference to the runner-up, with its interval; PSNR is the headline,
+    listed first or not.
+    """
     verdict = verdict_of(measured_run)
     difference = compare(measured_run.results, "PSNR", MIDDLE, WORST, "Demo room")
     assert verdict.column.name == "PSNR"
     assert verdict.headline == f"{NAMES[MIDDLE]} is best"
     numbers = [float(number) for number in re.findall(r"\d+\.\d+", verdict.margin)]
-    assert numbers == pytest.approx([difference.difference, difference.low, difference.high], abs=0.005)
+    assert numbers == pytest.approx(
+        [difference.difference, difference.low, difference.high], abs=0.005
+    )
     assert verdict.margin.startswith(
-        f"{difference.difference:.2f} dB ahead of {NAMES[WORST]}, the next best (95\N{NO-BREAK SPACE}% "
+        f"{difference.difference:.2f} dB ahead of {NAMES[WORST]}, the next best "
+        f"(95\N{NO-BREAK SPACE}% "
     )
     assert (verdict.others, verdict.tied) == ({NAMES[BEST]: ["SSIM", "LPIPS"]}, ())
     assert [one.label for one in verdict.contenders] == [MIDDLE, WORST]
 
 
 def test_ablations_are_no_rivals(measured_run):
-    """What each part is worth stands apart, as the paired difference to ours; ours alone compete with each other."""
+    """What each part is worth stands apart, as the paired difference to ours; ours alone compete
+    with each other.
+    """
     verdict = verdict_of(measured_run)
     (part,) = verdict.parts
     worth = compare(measured_run.results, "PSNR", BEST, MIDDLE, "Demo room")
@@ -71,7 +88,9 @@ def test_ablations_are_no_rivals(measured_run):
     )
     assert part.worth.startswith("+")
 
-    alone = verdict_of(replace(measured_run, labels=LABELS[1:]), lambda table: table[~(table["method"] == WORST)])
+    alone = verdict_of(
+        replace(measured_run, labels=LABELS[1:]), lambda table: table[~(table["method"] == WORST)]
+    )
     assert [one.label for one in alone.contenders] == [BEST, MIDDLE]
     assert alone.parts == ()
 
@@ -84,7 +103,9 @@ def absolute_of(run: MeasuredRun, tables: list[Table], budgets: list[Table]) -> 
 
 
 def test_a_number_stands_beside_what_is_known(tmp_path):
-    """The ceiling of the capture and the largest part of the error, which the shares give; published values of no other data."""
+    """The ceiling of the capture and the largest part of the error, which the shares give;
+    published values of no other data.
+    """
     measured = write_references(tmp_path / "run", {"PSNR": 40.5}, {"PSNR": 38.0})
     budget = budget_table(measured)
     tables = main_tables([measured], measured.results)
@@ -95,7 +116,10 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
     assert [column.name for column in budget.columns[1:]] == [*CAUSES]
     *shares, rest = (cell.value or 0.0 for cell in row.cells[1:])
     said = largest_cause(NAMES[MIDDLE], [budget])
-    assert f"{max(shares):.0f} % of its squared error is {[*CAUSES.values()][shares.index(max(shares))]}" in said
+    assert (
+        f"{max(shares):.0f} % of its squared error is "
+        f"{[*CAUSES.values()][shares.index(max(shares))]}" in said
+    )
     assert (f"{rest:.0f} % is unexplained" in said) == (rest > max(shares))
     assert largest_cause("nobody", [budget]) == largest_cause(NAMES[MIDDLE], []) == ""
 
@@ -122,22 +146,30 @@ def test_what_cameras_were_calibrated_from_is_stated(tmp_path):
 
 
 def test_a_tie_is_called_a_tie(measured_run):
-    """Two methods whose values differ by noise about nothing tie; a name with a comma stands in quotation marks."""
+    """Two methods whose values differ by noise about nothing tie; a name with a comma stands in
+    quotation marks.
+    """
 
     def tie(table: pd.DataFrame) -> pd.DataFrame:
         noise = np.random.default_rng(3).standard_normal(of(table, BEST).sum())
-        table.loc[of(table, MIDDLE), "value"] = table.loc[of(table, BEST), "value"].to_numpy() + noise - noise.mean() + 0.001
+        table.loc[of(table, MIDDLE), "value"] = (
+            table.loc[of(table, BEST), "value"].to_numpy() + noise - noise.mean() + 0.001
+        )
         return table
 
     verdict = verdict_of(replace(measured_run, ours=frozenset()), tie)
     assert verdict.headline == f"{NAMES[MIDDLE]} and {NAMES[BEST]} tie"
-    assert verdict.margin.startswith(f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is not significant")
+    assert verdict.margin.startswith(
+        f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is not significant"
+    )
     assert "interval −0." in verdict.margin
     assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
 
 
 def test_a_clip_too_short_for_its_correlation_has_no_winner(measured_run):
-    """Where tables name nobody as the best, the verdict names nobody, and says why; metrics without a winner are told apart."""
+    """Where tables name nobody as the best, the verdict names nobody, and says why; metrics without
+    a winner are told apart.
+    """
 
     def wander(table: pd.DataFrame) -> pd.DataFrame:
         """Differences that drift over the whole clip are worth few frames."""
@@ -166,7 +198,9 @@ def test_equal_numbers_are_equal(measured_run):
 
 
 def test_one_frame_of_one_view_proves_nothing(tmp_path):
-    """Where nothing can be resampled there is no winner; the words say how far the first is ahead and what is wanting."""
+    """Where nothing can be resampled there is no winner; the words say how far the first is ahead
+    and what is wanting.
+    """
     shape = replace(SHAPE, frames=Frames(0, 1), views=("cam00",), metrics=("PSNR",))
     verdict = verdict_of(read_run(write_run(tmp_path / "run", shape)))
     assert verdict.headline == "No winner can be named from 1 frame of 1 view"
@@ -176,11 +210,15 @@ def test_one_frame_of_one_view_proves_nothing(tmp_path):
 
 
 def test_fewer_frames_name_no_more_winners(measured_run, tmp_path):
-    """A clip cut to two frames, or to one, has no winner that the whole clip has not: what cannot be compared is not won."""
+    """A clip cut to two frames, or to one, has no winner that the whole clip has not: what cannot
+    be compared is not won.
+    """
     whole = {NAMES[BEST]: ["SSIM", "LPIPS"]}  # an ablation, by the numbers of the table
     assert verdict_of(measured_run).others == whole
     for count in (1, 2):
-        shape = replace(SHAPE, frames=Frames(0, count), metrics=(*SHAPE.metrics, "TCC", "STED", "SDT", "SDV"))
+        shape = replace(
+            SHAPE, frames=Frames(0, count), metrics=(*SHAPE.metrics, "TCC", "STED", "SDT", "SDV")
+        )
         cut = verdict_of(read_run(write_run(tmp_path / str(count), shape)))
         assert set(cut.others) <= set(whole)
         assert set(cut.others.get(NAMES[BEST], ())) <= {"SSIM", "LPIPS"}
@@ -197,12 +235,16 @@ def test_one_method_alone_is_no_winner(tmp_path):
 
 
 def test_the_drawing_is_to_scale(measured_run):
-    """Places are linear in the value, the best furthest to its better side, intervals around their values; infinity has none."""
+    """Places are linear in the value, the best furthest to its better side, intervals around their
+    values; infinity has none.
+    """
     measured_run = replace(measured_run, ours=frozenset())
     verdict = verdict_of(measured_run)
     values = np.array([one.cell.value for one in verdict.contenders])
     places = np.array([one.place for one in verdict.contenders])
-    assert np.diff(places)[0] / np.diff(places)[1] == pytest.approx(np.diff(values)[0] / np.diff(values)[1], abs=0.01)
+    assert np.diff(places)[0] / np.diff(places)[1] == pytest.approx(
+        np.diff(values)[0] / np.diff(values)[1], abs=0.01
+    )
     assert all(0 <= one.span[0] <= one.place <= one.span[1] <= 100 for one in verdict.contenders)
 
     def perfect(table: pd.DataFrame) -> pd.DataFrame:
@@ -210,11 +252,17 @@ def test_the_drawing_is_to_scale(measured_run):
         return table
 
     verdict = verdict_of(measured_run, perfect)
-    assert (verdict.contenders[0].label, verdict.contenders[0].place, verdict.contenders[0].cell.text) == (WORST, None, "∞")
+    assert (
+        verdict.contenders[0].label,
+        verdict.contenders[0].place,
+        verdict.contenders[0].cell.text,
+    ) == (WORST, None, "∞")
 
 
 def test_ours_stands_beside_a_better_method(measured_run):
-    """Shown are the best and the runner-up; where the best is not ours, ours; never a method without pictures."""
+    """Shown are the best and the runner-up; where the best is not ours, ours; never a method
+    without pictures.
+    """
     assert verdict_of(measured_run).shown(measured_run) == (MIDDLE, WORST)
 
     def baseline_wins(table: pd.DataFrame) -> pd.DataFrame:
@@ -228,9 +276,14 @@ def test_ours_stands_beside_a_better_method(measured_run):
 
 
 def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(measured_run):
-    """Without tables nothing was measured; of faulty and partial methods each is named, with the first step out."""
+    """Without tables nothing was measured; of faulty and partial methods each is named, with the
+    first step out.
+    """
     nothing = evaluate_verdict([measured_run], measured_run.results, ())
-    assert (nothing.headline, nothing.contenders) == ("Nothing is ranked: no metric was measured; score the run", ())
+    assert (nothing.headline, nothing.contenders) == (
+        "Nothing is ranked: no metric was measured; score the run",
+        (),
+    )
     measured = replace(measured_run, labels=(WORST, MIDDLE))
     fault = [
         WORST,
@@ -248,11 +301,13 @@ def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(m
     measured = replace(measured, results=results)
     verdict = evaluate_verdict([measured], results, main_tables([measured], results))
     assert verdict.headline == (
-        f"Nothing is ranked: {NAMES[WORST]} shows every frame one instant late; {NAMES[MIDDLE]} is partial in room: 1 of 2 views"
+        f"Nothing is ranked: {NAMES[WORST]} shows every frame one instant late; {NAMES[MIDDLE]} is "
+        f"partial in room: 1 of 2 views"
     )
     assert (
         verdict.margin
-        == f"{NAMES[WORST]}: renumber the frames by -1. {NAMES[MIDDLE]}: render the missing frames and score again."
+        == f"{NAMES[WORST]}: renumber the frames by -1. {NAMES[MIDDLE]}: render the missing frames "
+        f"and score again."
     )
 
 
@@ -261,35 +316,48 @@ def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun
     run = write_run(root, replace(SHAPE, frames=Frames(0, 4)))
     names = ("Ceiling: perfect", "Ceiling: second")
     entries = [
-        {"group": "quality", "name": name, "note": f"{name}.", "values": one} for name, one in zip(names, values, strict=True)
+        {"group": "quality", "name": name, "note": f"{name}.", "values": one}
+        for name, one in zip(names, values, strict=True)
     ]
     write_json(run / "references.json", entries)
     return read_run(run)
 
 
 def test_a_ceiling_that_cannot_be_computed_is_one_line(tmp_path):
-    """Two ceilings without a number are no rows; what they lack stands once below the table. With numbers they are rows."""
+    """Two ceilings without a number are no rows; what they lack stands once below the table. With
+    numbers they are rows.
+    """
     lacking = {"PSNR": "cam00: 6 frames, wanted 8", "SSIM": "cam00: 6 frames, wanted 8"}
     run = write_references(tmp_path / "lacking", lacking, lacking)
     (table,) = main_tables([run], run.results)
     assert not [row for row in table.rows if row.kind == "reference"]
     assert " ".join(table.notes).count("6 frames, wanted 8") == 1
-    assert "Not computed for SSIM, PSNR: Ceiling: perfect, Ceiling: second (cam00: 6 frames, wanted 8)." in table.notes
-    run = write_references(tmp_path / "partly", {"PSNR": 50.0, "SSIM": "no"}, {"PSNR": 40.0, "SSIM": "no"})
+    assert (
+        "Not computed for SSIM, PSNR: Ceiling: perfect, Ceiling: second (cam00: 6 frames, wanted "
+        "8)." in table.notes
+    )
+    run = write_references(
+        tmp_path / "partly", {"PSNR": 50.0, "SSIM": "no"}, {"PSNR": 40.0, "SSIM": "no"}
+    )
     (table,) = main_tables([run], run.results)
     rows = [row for row in table.rows if row.kind == "reference"]
     assert [[cell.text for cell in row.cells] for row in rows] == [
         ["not computed", "50.00", "–"],
         ["not computed", "40.00", "–"],
     ]
-    assert "Ceiling: perfect: Ceiling: perfect. Ceiling: second: Ceiling: second. Not computed for SSIM: " in " ".join(
-        table.notes
+    assert (
+        "Ceiling: perfect: Ceiling: perfect. Ceiling: second: Ceiling: second. Not computed for "
+        "SSIM: " in " ".join(table.notes)
     )
 
 
 def test_a_ceiling_that_is_a_bound_says_so(tmp_path):
-    """Behind a codec a perfect rendering scores at most so much; the cell says it, and the other row stays an estimate."""
-    run = write_references(tmp_path / "bounded", {"PSNR": 40.5, "SSIM": 0.98}, {"PSNR": 40.0, "SSIM": 0.97}).folder.root
+    """Behind a codec a perfect rendering scores at most so much; the cell says it, and the other
+    row stays an estimate.
+    """
+    run = write_references(
+        tmp_path / "bounded", {"PSNR": 40.5, "SSIM": 0.98}, {"PSNR": 40.0, "SSIM": 0.97}
+    ).folder.root
     entries = read_json(run / "references.json")
     entries[0]["bounds"] = {"PSNR": "at most"}
     write_json(run / "references.json", entries)

@@ -1,4 +1,6 @@
-"""A run does without the parts that are not installed; a method that wants one of them is refused in a line that names both."""
+"""A run does without the parts that are not installed; a method that wants one of them is refused
+in a line that names both.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,10 @@ from helpers.tasks_left import tasks_left
 
 OFFLINE = "ggvs_eval.pipelines.offline"
 DEPTH = f"{OFFLINE}.depth"
-PREPARATIONS = tuple(f"ggvs_eval.pipelines.run.{name}" for name in ("camera_path", "disocclusion", "fits", "live_depth"))
+PREPARATIONS = tuple(
+    f"ggvs_eval.pipelines.run.{name}"
+    for name in ("camera_path", "disocclusion", "fits", "live_depth")
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +39,18 @@ def remove(monkeypatch):
     """Let parts count as not installed."""
 
     def without(*parts: str) -> None:
-        monkeypatch.setattr(plugins, "missing_part", lambda module: next(filter(module.startswith, parts), None))
+        monkeypatch.setattr(
+            plugins, "missing_part", lambda module: next(filter(module.startswith, parts), None)
+        )
 
     return without
 
 
 @pytest.mark.slow
 def test_methods_that_want_no_depth_render_the_same_without_it(small_capture, tmp_path, remove):
-    """Their sources are the nearest cameras, whose depth is unknown; pictures are equal to those of a run with depth."""
+    """Their sources are the nearest cameras, whose depth is unknown; pictures are equal to those of
+    a run with depth.
+    """
     protocol = replace(small_protocol(2, 0, ("PSNR",)), views=Views(("cam04",), "in the middle"))
     runs = []
     for name in ("with", "without"):
@@ -51,7 +60,9 @@ def test_methods_that_want_no_depth_render_the_same_without_it(small_capture, tm
         runs.append(plan.run)
         remove(DEPTH)
 
-    first, second = (frame_path(run.renders("interpolation", "cam04"), 1).read_bytes() for run in runs)
+    first, second = (
+        frame_path(run.renders("interpolation", "cam04"), 1).read_bytes() for run in runs
+    )
     assert first == second
     assert not runs[1].depth_record.exists()
     unknown = DepthStore(runs[1].depth).read(plan.view_jobs[0].key, 1)
@@ -71,7 +82,11 @@ def test_what_wants_an_absent_part_is_refused(small_capture, tmp_path, remove, p
     remove(part)
     asker = "--matcher" if depth else label
     with refused(AbsentPartError, f"{asker}: ", f"is part of {part}", "reinstall"):
-        plan_run(RunRequest(tmp_path / "run", small_capture, small_protocol(1, 0, ("PSNR",)), (label,), depth))
+        plan_run(
+            RunRequest(
+                tmp_path / "run", small_capture, small_protocol(1, 0, ("PSNR",)), (label,), depth
+            )
+        )
     assert not (tmp_path / "run").exists()
 
 

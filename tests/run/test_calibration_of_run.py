@@ -1,4 +1,6 @@
-"""Cameras of a run: refined where source cameras render better, as given where they are precise or nothing is gained."""
+"""Cameras of a run: refined where source cameras render better, as given where they are precise or
+nothing is gained.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,16 +40,25 @@ def protocol_of(capture: Capture, choice: str | None = "compare") -> Protocol:
     protocol = suggest_protocol(capture)
     assert protocol.synthesis.calibration == "compare"
     synthesis = replace(protocol.synthesis, calibration=choice)
-    return replace(protocol, synthesis=synthesis, measurement=Measurement(("PSNR",), ceilings=False), path=CameraPath(0))
+    return replace(
+        protocol,
+        synthesis=synthesis,
+        measurement=Measurement(("PSNR",), ceilings=False),
+        path=CameraPath(0),
+    )
 
 
-def planned(root: Path, capture: Capture, protocol: Protocol, labels: Sequence[str] = ("ours-geometric",)) -> RunPlan:
+def planned(
+    root: Path, capture: Capture, protocol: Protocol, labels: Sequence[str] = ("ours-geometric",)
+) -> RunPlan:
     """A run, planned."""
     return plan_run(RunRequest(root, capture, protocol, labels))
 
 
 def test_knocked_poses_are_refined_where_sources_render_better(tmp_path):
-    """The choice is by source cameras, is made once, and what was made with given cameras is rendered again."""
+    """The choice is by source cameras, is made once, and what was made with given cameras is
+    rendered again.
+    """
     capture = written(tmp_path / "rig", 0.005)
     given = measure(planned(tmp_path / "given", capture, protocol_of(capture, "given")), 1)
     compared = measure(planned(tmp_path / "run", capture, protocol_of(capture)), 1)
@@ -67,20 +78,38 @@ def test_knocked_poses_are_refined_where_sources_render_better(tmp_path):
     ]
     again = reopen(tmp_path / "run", 1, ("ours-geometric",))
     assert tasks_left(again) == []
-    poses = [[camera.world_to_camera for camera in cameras] for cameras in (again.capture.cameras, capture.cameras)]
+    poses = [
+        [camera.world_to_camera for camera in cameras]
+        for cameras in (again.capture.cameras, capture.cameras)
+    ]
     assert np.abs(np.subtract(*poses)).max(axis=(1, 2)).min() > 0
-    assert {camera.near for camera in again.capture.cameras} == {camera.near for camera in capture.cameras}
+    assert {camera.near for camera in again.capture.cameras} == {
+        camera.near for camera in capture.cameras
+    }
 
 
 def test_given_poses_that_limit_methods_are_named_first(tmp_path):
-    """Headline and caption say so before anything else, with what to do; refined poses have nothing to say."""
+    """Headline and caption say so before anything else, with what to do; refined poses have nothing
+    to say.
+    """
     capture = written(tmp_path / "rig", 0.005)
-    results = measure(planned(tmp_path / "run", capture, protocol_of(capture, "given"), ("no-blending", "distance-based")), 1)
+    results = measure(
+        planned(
+            tmp_path / "run",
+            capture,
+            protocol_of(capture, "given"),
+            ("no-blending", "distance-based"),
+        ),
+        1,
+    )
 
     runs = [read_scores(tmp_path / "run")]
     tables = main_tables(runs, results)
     sentence = limit_by_cameras(runs)
-    assert "px): refine them in a new run (--calibration compare); the order of methods is decided by poses." in sentence
+    assert (
+        "px): refine them in a new run (--calibration compare); the order of methods is decided by "
+        "poses." in sentence
+    )
     assert tables[0].caption.startswith(sentence)
     assert evaluate_verdict(runs, results, tables).headline.startswith(sentence)
 
@@ -94,7 +123,10 @@ def test_poses_that_a_check_calls_bad_stop_who_does_not_refine_them(tmp_path, ca
     (out / "protocol.toml").write_text(protocol_of(capture).to_toml())
     evaluate(capture.path, out, methods=("no-blending",), poses="compare")
 
-    assert "check found poses alone at fault, which --calibration compare adjusts" in capsys.readouterr().err
+    assert (
+        "check found poses alone at fault, which --calibration compare adjusts"
+        in capsys.readouterr().err
+    )
     assert read_scores(out / "run").calibration.cameras == "refined"
 
 
@@ -109,5 +141,7 @@ def test_precise_poses_are_not_compared(tmp_path):
     assert isinstance(calibration, Calibration)
     assert (calibration.cameras, calibration.refined_px) == ("given", None)
     assert not calibration.psnr_db
-    assert calibration.describe().endswith("px as given: at most 0.5 px, refined ones are not tried")
+    assert calibration.describe().endswith(
+        "px as given: at most 0.5 px, refined ones are not tried"
+    )
     assert not calibration.limits_methods

@@ -10,7 +10,9 @@ from helpers.run_folders import LABELS, write_run
 
 
 def test_scores_and_page_agree_on_what_is_whole(tmp_path):
-    """Unscored: the whole one counts for both, the killed one for neither, and one that refused a view is scored alone."""
+    """Unscored: the whole one counts for both, the killed one for neither, and one that refused a
+    view is scored alone.
+    """
     run = RunFolder(write_run(tmp_path / "run"))
     views, numbers = run.protocol().views.test, run.protocol().frames.numbers
     for label in ("whole", "killed", "choosy"):

@@ -1,4 +1,6 @@
-"""Masks and path depth are made anew when the code or the depth that they come from changes, and only then."""
+"""Masks and path depth are made anew when the code or the depth that they come from changes, and
+only then.
+"""
 
 import os
 from collections import Counter
@@ -62,7 +64,9 @@ def files_left(plan: RunPlan) -> Counter[str]:
     ],
 )
 def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatch):
-    """The code that made them has changed: they are counted as missing, and made anew; what other code made stays."""
+    """The code that made them has changed: they are counted as missing, and made anew; what other
+    code made stays.
+    """
     prepare_run(plan)
     change_code(monkeypatch, module)
 
@@ -76,7 +80,9 @@ def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatc
 
 
 def test_what_was_changed_is_made_anew(plan):
-    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back; a mask of other depth, too."""
+    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back; a
+    mask of other depth, too.
+    """
     prepare_run(plan)
     mask, pose = damage(plan)
 
@@ -89,11 +95,15 @@ def test_what_was_changed_is_made_anew(plan):
     record = plan.run.disoccluded("cam00") / JOB_FILE
     write_json(record, read_json(record) | {"sha256": "of other depth"})
 
-    assert {task.folder.name: task.count for task in tasks_left(plan) if task.kind == "mask"} == {"cam00": 2}
+    assert {task.folder.name: task.count for task in tasks_left(plan) if task.kind == "mask"} == {
+        "cam00": 2
+    }
 
 
 def test_a_folder_is_known_by_what_it_holds(tmp_path):
-    """Records that are written again as they were change nothing; a picture that is, a new file and a new value do."""
+    """Records that are written again as they were change nothing; a picture that is, a new file and
+    a new value do.
+    """
     record, picture = tmp_path / "a.json", tmp_path / "deep" / "b.png"
     picture.parent.mkdir()
     record.write_text("1")

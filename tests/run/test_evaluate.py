@@ -1,4 +1,6 @@
-"""The whole road on a small demo capture: prepare, render, score, report; resumed, refused, extended."""
+"""The whole road on a small demo capture: prepare, render, score, report; resumed, refused,
+extended.
+"""
 
 import dataclasses
 import json
@@ -55,7 +57,9 @@ def measure_again(run: RunFolder, whole_run: Path, labels: Sequence[str] = LABEL
 
 
 def test_everything_is_there(whole_run):
-    """A run leaves renders of every view and frame, a table of every metric, and a page with figures."""
+    """A run leaves renders of every view and frame, a table of every metric, and a page with
+    figures.
+    """
     run, summary = RunFolder(whole_run), Results.read(whole_run).summary()
 
     for label in LABELS:
@@ -74,7 +78,9 @@ def test_everything_is_there(whole_run):
 
 
 def test_the_path_is_scored_without_truth_and_beside_it(whole_run):
-    """Every method has one value per measure over the whole path; the captured images along it are a reference, no method."""
+    """Every method has one value per measure over the whole path; the captured images along it are
+    a reference, no method.
+    """
     table = Results.read(whole_run).table
     along = table[table["metric"].isin(ALONG_PATH)]
     references = {entry["name"]: entry for entry in read_json(whole_run / "references.json")}
@@ -87,22 +93,36 @@ def test_the_path_is_scored_without_truth_and_beside_it(whole_run):
 
 
 def test_ceilings_stand_beside_the_scores(whole_run):
-    """A perfect rendering is estimated to score better than any method, and a second recording too; both stand in the tables."""
+    """A perfect rendering is estimated to score better than any method, and a second recording too;
+    both stand in the tables.
+    """
     summary = Results.read(whole_run).summary()
-    entries = [entry for entry in read_json(whole_run / "references.json") if entry["name"].startswith("Ceiling")]
+    entries = [
+        entry
+        for entry in read_json(whole_run / "references.json")
+        if entry["name"].startswith("Ceiling")
+    ]
 
     assert {entry["group"] for entry in entries} == {"quality", "consistency"}
     for metric in ("PSNR", "TCC"):
         values = [entry["values"].get(metric) for entry in entries]
         ceilings = [value for value in values if isinstance(value, float)]
         assert min(ceilings) > summary[metric].max()
-    assert "Ceiling: second recording" in (RunFolder(whole_run).report / "tables.md").read_text(encoding="utf-8")
+    assert "Ceiling: second recording" in (RunFolder(whole_run).report / "tables.md").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_what_no_camera_sees_is_known_before_any_method_renders(whole_run):
-    """Masks of every view and frame lie in the run, black and white; what is unseen is a small part."""
+    """Masks of every view and frame lie in the run, black and white; what is unseen is a small
+    part.
+    """
     run = RunFolder(whole_run)
-    files = [frame_path(run.disoccluded(view), frame) for view in PROTOCOL.views.test for frame in PROTOCOL.frames.numbers]
+    files = [
+        frame_path(run.disoccluded(view), frame)
+        for view in PROTOCOL.views.test
+        for frame in PROTOCOL.frames.numbers
+    ]
     masks = np.array([read_image(file) for file in files])
 
     assert set(np.unique(masks)) == {0, 255}
@@ -125,12 +145,16 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(run, whole_run):
 
     assert render(prepare(run.root, capture_of(whole_run), PROTOCOL, labels=LABELS)) == 1
     for frame in PROTOCOL.frames.numbers:
-        wanted = read_image(frame_path(RunFolder(whole_run).renders("ours-geometric", "cam01"), frame))
+        wanted = read_image(
+            frame_path(RunFolder(whole_run).renders("ours-geometric", "cam01"), frame)
+        )
         np.testing.assert_array_equal(read_image(frame_path(folder, frame)), wanted)
 
 
 def test_what_an_earlier_call_left_unfinished_is_named_and_left_out(run, whole_run, capsys):
-    """A call for other methods scores them; the one that was stopped comes back when it is asked for."""
+    """A call for other methods scores them; the one that was stopped comes back when it is asked
+    for.
+    """
     folder = run.renders("ours-geometric", "cam01")
     frame_path(folder, 2).unlink()
 
@@ -182,7 +206,9 @@ def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):
 
 
 def test_gaps_and_wrong_sizes_are_listed(run, tmp_path):
-    """Missing frames of foreign renders are an error that names view and frames, a frame of another size one with both sizes."""
+    """Missing frames of foreign renders are an error that names view and frames, a frame of another
+    size one with both sizes.
+    """
     copy_truth(run, tmp_path / "mine")
     write_image(tmp_path / "large" / "cam00" / "0001.png", np.zeros((60, 80, 3), np.uint8))
     for name in ("cam00/0001.png", "cam01/0001.png", "cam01/0002.png"):
@@ -198,15 +224,20 @@ def test_gaps_and_wrong_sizes_are_listed(run, tmp_path):
 def test_a_folder_belongs_to_one_protocol(run, whole_run):
     """Another protocol in the same folder is refused instead of mixed."""
     with pytest.raises(ProtocolError, match="another protocol"):
-        prepare(run.root, capture_of(whole_run), dataclasses.replace(PROTOCOL, synthesis=Synthesis(2)))
+        prepare(
+            run.root, capture_of(whole_run), dataclasses.replace(PROTOCOL, synthesis=Synthesis(2))
+        )
 
 
 @pytest.mark.slow
 def test_the_path_may_show_another_instant_than_the_protocol(room, tmp_path):
-    """A true camera path at an instant beyond the protocol's frames has its depth computed and is rendered."""
+    """A true camera path at an instant beyond the protocol's frames has its depth computed and is
+    rendered.
+    """
     shutil.copytree(room.path, tmp_path / "late")
     note = json.loads((tmp_path / "late" / "demo.json").read_text())
-    (tmp_path / "late" / "demo.json").write_text(json.dumps(note | {"path_time_s": 0.1}))  # frame 3 at 30 fps
+    # frame 3 at 30 fps
+    (tmp_path / "late" / "demo.json").write_text(json.dumps(note | {"path_time_s": 0.1}))
     late = open_capture(tmp_path / "late")
     protocol = dataclasses.replace(PROTOCOL, views=Views(("cam00",), "test"), frames=Frames(0, 2))
     prepared = prepare(tmp_path / "run", late, protocol, labels=["no-blending"])
@@ -231,7 +262,9 @@ def test_what_the_capture_lacks_is_refused(changes, message, room, tmp_path):
 
 
 def test_a_protocol_is_suggested_by_rule(room):
-    """A rig that no packaged protocol was made for gets every second camera, and the protocol says so."""
+    """A rig that no packaged protocol was made for gets every second camera, and the protocol says
+    so.
+    """
     suggested = suggest_protocol(room)
 
     assert suggested.views.test == ("cam01", "cam03", "cam05")

@@ -19,4 +19,7 @@ from ggvs_eval.pipelines.run.fits import _path_instants
 )
 def test_a_fit_for_the_path_sees_its_instant(look_ahead, path_frame, instants):
     """The instant itself alone, with all before it, or the whole sequence."""
-    assert _path_instants(SimpleNamespace(look_ahead=look_ahead), range(10, 15), path_frame) == instants
+    assert (
+        _path_instants(SimpleNamespace(look_ahead=look_ahead), range(10, 15), path_frame)
+        == instants
+    )

@@ -1,4 +1,6 @@
-"""Fitted methods in a run: one fit per fold that has seen nothing of what it renders, resumed where it was killed."""
+"""Fitted methods in a run: one fit per fold that has seen nothing of what it renders, resumed where
+it was killed.
+"""
 
 import pickle
 import shutil
@@ -66,7 +68,14 @@ def twin_plane(tmp_path_factory) -> Capture:
 @pytest.fixture(scope="module")
 def finished(twin_plane, tmp_path_factory) -> RunPlan:
     """A whole run of a method that steps and of one that is fitted, by two seeds."""
-    plan = plan_run(RunRequest(tmp_path_factory.mktemp("run"), twin_plane, PROTOCOL, ("no-blending", LABEL, f"{LABEL}+seed=1")))
+    plan = plan_run(
+        RunRequest(
+            tmp_path_factory.mktemp("run"),
+            twin_plane,
+            PROTOCOL,
+            ("no-blending", LABEL, f"{LABEL}+seed=1"),
+        )
+    )
     measure(plan, 1)
     return plan
 
@@ -85,14 +94,20 @@ def footage_of(plan: RunPlan, view: str):
 
 
 def test_a_run_fits_once_per_fold_and_once_for_the_path(finished):
-    """Each fold's job says what it saw and what it took; held-out views are rendered from it; every method has every value."""
-    fits = {folder.name: read_json(folder / "job.json") for folder in (finished.run.root / "fits" / LABEL).iterdir()}
+    """Each fold's job says what it saw and what it took; held-out views are rendered from it; every
+    method has every value.
+    """
+    fits = {
+        folder.name: read_json(folder / "job.json")
+        for folder in (finished.run.root / "fits" / LABEL).iterdir()
+    }
     assert {name: sorted(record["identity"]["cameras"]) for name, record in fits.items()} == {
         "fold1": ["cam01", "cam02", "cam03", "cam04"],
         "fold2": ["cam00", "cam01", "cam02", "cam04", "cam05"],
         "all": ["cam00", "cam01", "cam02", "cam03", "cam04", "cam05"],
     }
-    assert fits["all"]["instants"] == 1  # it looks at each instant alone, and the path stands at one
+    # it looks at each instant alone, and the path stands at one
+    assert fits["all"]["instants"] == 1
     assert fits["fold1"]["instants"] == 2
     assert fits["fold1"]["size_bytes"] > 0
     assert fits["fold1"]["seconds"] > 0
@@ -103,31 +118,51 @@ def test_a_run_fits_once_per_fold_and_once_for_the_path(finished):
     assert not Results.read(finished.run.root).per_view("PSNR").isna().any(axis=None)
     assert len(list(finished.run.path(LABEL).glob("*.png"))) == 2
     names = read_json(finished.run.root / "methods.json")["names"]
-    assert names == {"no-blending": "No Blending", LABEL: "Nearest Camera", f"{LABEL}+seed=1": "Nearest Camera, seed 1"}
-    # The leak detector: held out together, the twin of a training camera is as good as its noise, the other is not near.
+    assert names == {
+        "no-blending": "No Blending",
+        LABEL: "Nearest Camera",
+        f"{LABEL}+seed=1": "Nearest Camera, seed 1",
+    }
+    # The leak detector: held out together, the twin of a training camera is as good as its noise,
+    # the other is not near.
     psnr_db = Results.read(finished.run.root).per_view("PSNR").loc[(LABEL, "")]
     assert psnr_db[TWIN] > 45
     assert psnr_db[HELD_OUT] < psnr_db[TWIN] - 15
 
 
 def test_the_detector_tells_a_leak(finished, tmp_path):
-    """A fit that is given the target's frames, by a plan that no protocol can ask for, is as good there as in the twin."""
+    """A fit that is given the target's frames, by a plan that no protocol can ask for, is as good
+    there as in the twin.
+    """
     leaking = tuple(
-        replace(fit, fold=replace(fit.fold, jobs=finished.fits[2].fold.jobs)) if fit.fold.name == "fold1" else fit
+        replace(fit, fold=replace(fit.fold, jobs=finished.fits[2].fold.jobs))
+        if fit.fold.name == "fold1"
+        else fit
         for fit in finished.fits[:3]
     )
     shutil.copytree(finished.run.root, tmp_path / "run")
-    plan = replace(finished, run=RunFolder(tmp_path / "run"), request=replace(finished.request, root=tmp_path / "run"))
+    plan = replace(
+        finished,
+        run=RunFolder(tmp_path / "run"),
+        request=replace(finished.request, root=tmp_path / "run"),
+    )
     prepared = replace(prepare_run(plan), fits=leaking, methods={LABEL: plan.methods[LABEL]})
-    assert {fit.fold.name for fit in leaking if TWIN in fit.fold.cameras and TWIN in fit.fold.held_out} == {"fold1"}
+    assert {
+        fit.fold.name for fit in leaking if TWIN in fit.fold.cameras and TWIN in fit.fold.held_out
+    } == {"fold1"}
     measure_again = render(prepared)
     assert measure_again > 0
-    truth, leaked = (read_image(folder / "0000.png") for folder in (plan.run.truth(HELD_OUT), plan.run.renders(LABEL, HELD_OUT)))
+    truth, leaked = (
+        read_image(folder / "0000.png")
+        for folder in (plan.run.truth(HELD_OUT), plan.run.renders(LABEL, HELD_OUT))
+    )
     assert np.abs(truth.astype(float) - leaked).mean() < 2
 
 
 def test_footage_holds_nothing_of_a_held_out_camera(finished):
-    """Neither its name nor its frames can be asked for, they do not travel with the job, and no depth was matched with it."""
+    """Neither its name nor its frames can be asked for, they do not travel with the job, and no
+    depth was matched with it.
+    """
     footage = footage_of(finished, HELD_OUT)
     assert footage.views == ("cam01", "cam02", "cam03", "cam04")
     for view in (HELD_OUT, TWIN):
@@ -147,25 +182,39 @@ def test_footage_holds_nothing_of_a_held_out_camera(finished):
 
 
 def test_a_fit_does_not_depend_on_the_frames_that_it_shall_render(finished, twin_plane, tmp_path):
-    """Other frames in the held-out cameras: the same jobs, so the same scenes; other frames in a training camera: another job."""
+    """Other frames in the held-out cameras: the same jobs, so the same scenes; other frames in a
+    training camera: another job.
+    """
     for frame in range(2):
-        write_image(tmp_path / "black" / f"{frame:04d}.png", np.zeros_like(twin_plane.frame(HELD_OUT, 0)))
+        write_image(
+            tmp_path / "black" / f"{frame:04d}.png", np.zeros_like(twin_plane.frame(HELD_OUT, 0))
+        )
     black = ImageFrames(tmp_path / "black")
     sources = tuple(
-        black if name == HELD_OUT else source for name, source in zip(twin_plane.camera_names, twin_plane.sources, strict=True)
+        black if name == HELD_OUT else source
+        for name, source in zip(twin_plane.camera_names, twin_plane.sources, strict=True)
     )
-    other = plan_run(RunRequest(tmp_path / "run", replace(twin_plane, sources=sources), PROTOCOL, (LABEL,)))
-    before, after = ({fit.folder.name: fit.sha256 for fit in plan.fit_tasks if fit.label == LABEL} for plan in (finished, other))
+    other = plan_run(
+        RunRequest(tmp_path / "run", replace(twin_plane, sources=sources), PROTOCOL, (LABEL,))
+    )
+    before, after = (
+        {fit.folder.name: fit.sha256 for fit in plan.fit_tasks if fit.label == LABEL}
+        for plan in (finished, other)
+    )
     assert before["fold1"] == after["fold1"]
     assert before["fold2"] != after["fold2"]
     assert before["all"] != after["all"]
 
 
 def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
-    """An attempt that dies leaves what it has done; the next go on from it, and the scene is the one of a fit in one go."""
+    """An attempt that dies leaves what it has done; the next go on from it, and the scene is the
+    one of a fit in one go.
+    """
     protocol = replace(PROTOCOL, path=CameraPath(0))
     label = f"{LABEL}+dies_after=1"
-    plan = prepare_run(plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, (label,))))
+    plan = prepare_run(
+        plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, (label,)))
+    )
     (task,) = (fit for fit in plan.fit_tasks if "cam03" in fit.units)
     for attempt in range(4):
         with pytest.raises(KeyboardInterrupt):
@@ -180,7 +229,9 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
     whole.mkdir()
     (fit,) = (fit for fit in plan.fits if "cam03" in fit.fold.units)
     find_method(LABEL).make_fitter().fit(
-        fold_footage(plan.capture, fit.fold, fit.indices, DepthStore(plan.run.depth), 0), whole, lambda *_: None
+        fold_footage(plan.capture, fit.fold, fit.indices, DepthStore(plan.run.depth), 0),
+        whole,
+        lambda *_: None,
     )
     for file in sorted(whole.rglob("*.png")):
         assert file.read_bytes() == (task.folder / file.relative_to(whole)).read_bytes()
@@ -205,7 +256,9 @@ def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsy
 
 
 def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
-    """Without its fits a run is still done; a frame that is missing wants its own fold fitted again, and no other."""
+    """Without its fits a run is still done; a frame that is missing wants its own fold fitted
+    again, and no other.
+    """
     shutil.copytree(finished.run.root, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "fits")
     request = replace(finished.request, root=tmp_path / "run")
@@ -213,21 +266,29 @@ def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
     assert render(prepare_run(plan_run(request))) == 0
     shutil.rmtree(tmp_path / "run" / "renders" / LABEL / "cam03")
     assert render(prepare_run(plan_run(request))) == 1
-    assert [folder.relative_to(tmp_path / "run" / "fits").as_posix() for folder in (tmp_path / "run" / "fits").glob("*/*")] == [
-        f"{LABEL}/fold2"
-    ]
+    assert [
+        folder.relative_to(tmp_path / "run" / "fits").as_posix()
+        for folder in (tmp_path / "run" / "fits").glob("*/*")
+    ] == [f"{LABEL}/fold2"]
 
 
 def test_the_plan_counts_fits(twin_plane, tmp_path):
-    """Before anything is done: three scenes; for one view, its own fold alone. Nothing is written."""
+    """Before anything is done: three scenes; for one view, its own fold alone. Nothing is
+    written.
+    """
     request = RunRequest(tmp_path / "run", twin_plane, PROTOCOL, (LABEL,))
     assert "3 scenes to fit" in count_work([plan_run(request)], tmp_path / "run").describe()
-    assert "1 scene to fit" in count_work([plan_run(replace(request, views=["cam03"]))], tmp_path / "run").describe()
+    assert (
+        "1 scene to fit"
+        in count_work([plan_run(replace(request, views=["cam03"]))], tmp_path / "run").describe()
+    )
     assert not (tmp_path / "run").exists()
 
 
 def test_folds_by_rule_are_stated_in_the_run_that_needs_them(finished, twin_plane, tmp_path):
-    """A run of methods that step states none; with a fitted one it does, in the same folder, and keeps them from then on."""
+    """A run of methods that step states none; with a fitted one it does, in the same folder, and
+    keeps them from then on.
+    """
     protocol = PROTOCOL.with_folds(())
     before = plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, ("no-blending",)))
     prepare_run(before)
@@ -241,15 +302,23 @@ def test_folds_by_rule_are_stated_in_the_run_that_needs_them(finished, twin_plan
 
 
 def test_nobody_sees_more_than_the_sources(twin_plane, tmp_path):
-    """Neither as a source view, nor in depth, nor in footage; a protocol that leaves too few is refused."""
+    """Neither as a source view, nor in depth, nor in footage; a protocol that leaves too few is
+    refused.
+    """
     views = replace(PROTOCOL.views, sources=("cam01", "cam02", "cam03"), folds=())
     plan = plan_run(RunRequest(tmp_path, twin_plane, replace(PROTOCOL, views=views), (LABEL,)))
     assert plan.protocol.views.folds == ((HELD_OUT, TWIN, "cam03"),)
     shown = {
-        name for each in (*plan.plans.values(), *plan.path) for job in each.jobs for name in (job.camera_name, *job.partner_names)
+        name
+        for each in (*plan.plans.values(), *plan.path)
+        for job in each.jobs
+        for name in (job.camera_name, *job.partner_names)
     }
     assert shown <= {"cam01", "cam02", "cam03"}
-    assert [fit.fold.cameras for fit in plan.fits] == [("cam01", "cam02"), ("cam01", "cam02", "cam03")]
+    assert [fit.fold.cameras for fit in plan.fits] == [
+        ("cam01", "cam02"),
+        ("cam01", "cam02", "cam03"),
+    ]
     one_fold = (HELD_OUT, "cam02", "cam03")
     few = replace(PROTOCOL, views=replace(views, test=one_fold, folds=(one_fold,)))
     with refused(CameraError, "fold1", "cam00, cam02, cam03", "1 training", "2 or more"):
@@ -265,16 +334,22 @@ def test_what_is_fitted_cannot_be_shown_frame_by_frame():
     with refused(RenderError, "seed", "1.5"):
         find_method(f"{LABEL}+seed=1.5")
     assert find_method(f"{LABEL}+noise=2.5+seed=3").settings == {"noise": 2.5}
-    assert find_method("4dgs+motion=linear+steps=3000").title == "4DGS (compact), linear motion, 3,000 steps"
+    assert (
+        find_method("4dgs+motion=linear+steps=3000").title
+        == "4DGS (compact), linear motion, 3,000 steps"
+    )
 
 
 @pytest.mark.slow
 def test_variants_of_a_sweep_share_their_fits(finished, twin_plane, tmp_path):
-    """K moves no fit: two runs of a sweep, one scene per fold beside them; each has its row, and a shard fits what it renders."""
+    """K moves no fit: two runs of a sweep, one scene per fold beside them; each has its row, and a
+    shard fits what it renders.
+    """
     rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))
     sweep, protocol = Sweep("k", "two", rows, k=(1, 2)), replace(PROTOCOL, path=CameraPath(0))
     root = lend(finished, tmp_path)
-    run_sweep(plan_cells(root, {"": (twin_plane, protocol)}, sweep, shard=Shard.parse("1/8")), 1)  # k1 in the first view
+    # k1 in the first view
+    run_sweep(plan_cells(root, {"": (twin_plane, protocol)}, sweep, shard=Shard.parse("1/8")), 1)
     assert [folder.name for folder in (root / "fits" / LABEL).iterdir()] == ["fold1"]
     result = run_sweep(plan_cells(root, {"": (twin_plane, protocol)}, sweep), 1)
     assert not result.failures

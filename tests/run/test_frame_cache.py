@@ -27,18 +27,23 @@ def dynerf_capture(dynerf):
 
 
 def test_frames_are_those_of_the_capture_at_its_size(dynerf_capture, tmp_path):
-    """The cached frames equal the capture's, resized by its filter, under the same numbers and digests."""
+    """The cached frames equal the capture's, resized by its filter, under the same numbers and
+    digests.
+    """
     small = dynerf_capture.resized(32, 24, "area")
 
     cached = cache_frames(small, {"cam01": [1, 2, 3]}, tmp_path, workers=1)
 
-    for wanted, found in zip(small.frames("cam01", 1, 4), cached.frames("cam01", 1, 4), strict=True):
+    for wanted, found in zip(
+        small.frames("cam01", 1, 4), cached.frames("cam01", 1, 4), strict=True
+    ):
         np.testing.assert_array_equal(found, wanted)
     assert cached.digest("cam01") == dynerf_capture.digest("cam01")
     with pytest.raises(CaptureError, match=r"0004\.png"):  # which was not asked for
         cached.frame("cam01", 4)
     assert [folder.name for folder in tmp_path.glob("cam*")] == ["cam01"]
-    np.testing.assert_array_equal(cached.frame("cam03", 1), small.frame("cam03", 1))  # which takes no part
+    # which takes no part
+    np.testing.assert_array_equal(cached.frame("cam03", 1), small.frame("cam03", 1))
 
 
 def test_nothing_is_decoded_twice(dynerf_capture, dynerf, tmp_path):
@@ -69,7 +74,9 @@ def test_only_what_is_missing_is_written(dynerf_capture, tmp_path):
 
 @pytest.mark.parametrize("keeps_time", [False, True])
 def test_a_frame_that_was_changed_is_written_again(dynerf_capture, tmp_path, keeps_time):
-    """Also where size and time of the file are as they were; until then it counts as work that is left."""
+    """Also where size and time of the file are as they were; until then it counts as work that is
+    left.
+    """
     cached = cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
     before, file = cached.frame("cam02", 3), frame_path(tmp_path / "cam02", 3)
     about, content = file.stat(), bytearray(file.read_bytes())
@@ -94,13 +101,19 @@ def test_a_frame_that_was_only_touched_stays(dynerf_capture, tmp_path):
 
 
 def test_frames_of_unknown_origin_are_written_again(dynerf_capture, tmp_path):
-    """Frames without a record, and those of another size, filter or capture, do not pass for this one's."""
+    """Frames without a record, and those of another size, filter or capture, do not pass for this
+    one's.
+    """
     cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
 
-    assert frames_left(dynerf_capture.resized(32, 24, "area"), {"cam02": [0, 4]}, tmp_path) == {"cam02": [0, 4]}
-    assert frames_left(dynerf_capture.resized(*dynerf_capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {
-        "cam02": [1]
+    assert frames_left(dynerf_capture.resized(32, 24, "area"), {"cam02": [0, 4]}, tmp_path) == {
+        "cam02": [0, 4]
     }
+    assert frames_left(
+        dynerf_capture.resized(*dynerf_capture.camera("cam02").size, "area"),
+        {"cam02": [1]},
+        tmp_path,
+    ) == {"cam02": [1]}
     (tmp_path / "cam02" / JOB_FILE).write_text("{")
     assert frames_left(dynerf_capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
 
@@ -128,7 +141,9 @@ def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):
 
 
 def test_frames_of_another_version_stay_until_they_are_replaced(dynerf_capture, dynerf, tmp_path):
-    """Where they cannot be decoded again, what the folder had is still there, and still counts as missing."""
+    """Where they cannot be decoded again, what the folder had is still there, and still counts as
+    missing.
+    """
     cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
     frames = {file: file.read_bytes() for file in (tmp_path / "cam02").glob("*.png")}
     small = dynerf_capture.resized(32, 24, "area")

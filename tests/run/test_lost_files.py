@@ -1,4 +1,6 @@
-"""Files of a finished run that are lost or cut short: what we made is made again, and no table is written from the rest."""
+"""Files of a finished run that are lost or cut short: what we made is made again, and no table is
+written from the rest.
+"""
 
 import shutil
 
@@ -27,7 +29,17 @@ def capture(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(capture, tmp_path_factory):
     root = tmp_path_factory.mktemp("finished") / "run"
-    measure(plan_run(RunRequest(root, capture, small_protocol(2, POSES, ("PSNR", "EPI_coherence", "path_sharpness")), LABELS)), 1)
+    measure(
+        plan_run(
+            RunRequest(
+                root,
+                capture,
+                small_protocol(2, POSES, ("PSNR", "EPI_coherence", "path_sharpness")),
+                LABELS,
+            )
+        ),
+        1,
+    )
     return root
 
 
@@ -48,7 +60,9 @@ def cut(file) -> None:
 @pytest.mark.parametrize("harm", [lose, cut])
 @pytest.mark.parametrize("which", FILES)
 def test_what_is_lost_is_rendered_again(run, which, harm):
-    """A picture of a view or the path that is gone or cut is made again with its bytes; until then `score` names what is gone."""
+    """A picture of a view or the path that is gone or cut is made again with its bytes; until then
+    `score` names what is gone.
+    """
     file, table = FILES[which](run), (run.root / "results.parquet").read_bytes()
     whole = file.read_bytes()
     harm(file)

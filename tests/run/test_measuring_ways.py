@@ -1,4 +1,6 @@
-"""Ways of measuring: frames prepared as published evaluators prepare them, checked against scikit-image."""
+"""Ways of measuring: frames prepared as published evaluators prepare them, checked against
+scikit-image.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -26,13 +28,17 @@ def pictures(count, size=SIZE):
     random = np.random.default_rng(5)
     width, height = size
     for _ in range(count):
-        truth = cv2.resize(random.random((height // 12, width // 12, 3)), size, interpolation=cv2.INTER_CUBIC).clip(0, 1)
+        truth = cv2.resize(
+            random.random((height // 12, width // 12, 3)), size, interpolation=cv2.INTER_CUBIC
+        ).clip(0, 1)
         rendered = (truth + random.normal(0, 0.03, truth.shape)).clip(0, 1)
         yield np.rint(255 * rendered).astype(np.uint8), np.rint(255 * truth).astype(np.uint8)
 
 
 def by_hand(rendered, truth, resized):
-    """PSNR and SSIM as the evaluators write them: float frames, a tenth cut, scikit-image without a range, which was 2."""
+    """PSNR and SSIM as the evaluators write them: float frames, a tenth cut, scikit-image without a
+    range, which was 2.
+    """
     frames = [image.astype(np.float64) / 255 for image in (rendered, truth)]
     if resized:
         frames = [cv2.resize(image, (960, 640)) for image in frames]
@@ -57,19 +63,29 @@ def test_pictures_have_the_values_of_the_authors_steps(way, resized):
 
 
 def test_the_range_of_ssim_is_two():
-    """SSIM of range 2 is that of frames at half the brightness with range 1, and higher than that of range 1."""
+    """SSIM of range 2 is that of frames at half the brightness with range 1, and higher than that
+    of range 1.
+    """
     (rendered, truth), *_ = pictures(1)
     both = [
-        structural_similarity(rendered / (255 * scale), truth / (255 * scale), channel_axis=2, data_range=1) for scale in (2, 1)
+        structural_similarity(
+            rendered / (255 * scale), truth / (255 * scale), channel_axis=2, data_range=1
+        )
+        for scale in (2, 1)
     ]
-    pair = measured_frame(rendered, measured_as("as-is")), measured_frame(truth, measured_as("as-is"))
+    pair = (
+        measured_frame(rendered, measured_as("as-is")),
+        measured_frame(truth, measured_as("as-is")),
+    )
     value = score_view(iter([pair]), ("SSIM",), metric_options(measured_as("enerf"))).values[0][2]
     assert value == pytest.approx(both[0], abs=1e-5)
     assert value > both[1] + 0.01
 
 
 def test_a_tenth_is_cut_rounded_down():
-    """Of 1008 x 756 pixels 100 columns and 75 rows go: an error in row 75 counts, one in row 74 does not."""
+    """Of 1008 x 756 pixels 100 columns and 75 rows go: an error in row 75 counts, one in row 74
+    does not.
+    """
     truth = np.zeros((756, 1008, 3), np.uint8)
     for row, counts in ((74, False), (75, True)):
         rendered = truth.copy()
@@ -92,7 +108,9 @@ def test_frames_are_not_rounded_after_resizing():
 
 
 def test_the_way_is_part_of_the_protocol():
-    """Another way is another hash; a protocol without one keeps its own, and the key of a file is `as`."""
+    """Another way is another hash; a protocol without one keeps its own, and the key of a file is
+    `as`.
+    """
     protocol = load_protocol("llff_3view_fern")
     assert protocol.measurement.as_ == "mvsnerf"
     assert '\nas = "mvsnerf"\n' in protocol.to_toml()
@@ -101,11 +119,19 @@ def test_the_way_is_part_of_the_protocol():
     assert "\nas =" not in plain.to_toml()
 
 
-@pytest.mark.parametrize("name", [name for name in packaged_protocols() if name.startswith("llff_3view")])
+@pytest.mark.parametrize(
+    "name", [name for name in packaged_protocols() if name.startswith("llff_3view")]
+)
 def test_published_values_are_shown_under_their_way_alone(name):
-    """IBRNet's row is there where frames are measured as the notebook does, and gone by another way."""
+    """IBRNet's row is there where frames are measured as the notebook does, and gone by another
+    way.
+    """
     protocol, scene = load_protocol(name), name.removeprefix("llff_3view_")
-    assert (len(protocol.views.test), len(protocol.views.sources), protocol.synthesis.k) == (4, 16, 3)
+    assert (len(protocol.views.test), len(protocol.views.sources), protocol.synthesis.k) == (
+        4,
+        16,
+        3,
+    )
     assert not set(protocol.views.test) & set(protocol.views.sources)
     run = SimpleNamespace(protocol=protocol, scene=scene, is_demo=False)
     rows, _ = community_beside("quality", protocol.dataset, ("PSNR", "SSIM", "LPIPS"), [run])

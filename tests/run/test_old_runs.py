@@ -16,18 +16,30 @@ OTHER_CODE = "0" * 64
 
 @pytest.fixture
 def words(tmp_path) -> list[str]:
-    """Arguments of `ggvs-eval run` for the smallest run, which lies in `tmp_path / "run"` when it was called."""
+    """Arguments of `ggvs-eval run` for the smallest run, which lies in `tmp_path / "run"` when it
+    was called.
+    """
     (tmp_path / "small.toml").write_text(small_protocol(2, 0, ("PSNR", "SSIM")).to_toml())
     capture = write_small_capture(tmp_path / "capture", 2).path
     methods = ("--methods", *LABELS, "--matcher", "sgbm", "--jobs", "1")
-    return [str(tmp_path / "run"), "--capture", str(capture), "--protocol", str(tmp_path / "small.toml"), *methods]
+    return [
+        str(tmp_path / "run"),
+        "--capture",
+        str(capture),
+        "--protocol",
+        str(tmp_path / "small.toml"),
+        *methods,
+    ]
 
 
 def make_old(run: RunFolder) -> None:
     """Write into a run what one of another version of the code has: other hashes of code."""
     for file in (*run.root.glob("renders/*/*/job.json"), *run.root.glob("scores/*/*/*/job.json")):
         record = read_json(file)
-        write_json(file, record | {"sha256": OTHER_CODE, "identity": record["identity"] | {"code": OTHER_CODE}})
+        write_json(
+            file,
+            record | {"sha256": OTHER_CODE, "identity": record["identity"] | {"code": OTHER_CODE}},
+        )
     for file in run.depth.glob("*/job.json"):
         record = read_json(file)
         record["identity"]["options"]["code"] = OTHER_CODE
@@ -37,7 +49,9 @@ def make_old(run: RunFolder) -> None:
 
 @pytest.mark.slow
 def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, capsys):
-    """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal numbers; then none does."""
+    """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal
+    numbers; then none does.
+    """
     run = RunFolder(tmp_path / "run")
     run_command(["run", *words])
     results = Results.read(run.root)
@@ -56,7 +70,9 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
     assert capsys.readouterr().err.count(f"{outdated}; they are recomputed") == 1
 
     assert Results.read(run.root).summary().equals(made)
-    assert all(read_json(file)["sha256"] != OTHER_CODE for file in run.root.glob("renders/*/*/job.json"))
+    assert all(
+        read_json(file)["sha256"] != OTHER_CODE for file in run.root.glob("renders/*/*/job.json")
+    )
     for command in ("status", "report"):
         run_command([command, str(run.root)])
     run_command(["run", *words])
@@ -65,7 +81,9 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
 
 @pytest.mark.slow
 def test_what_this_version_lacks_is_not_outdated(words, tmp_path):
-    """Nothing here would make again the renders of a method that is gone, nor anything that is no run."""
+    """Nothing here would make again the renders of a method that is gone, nor anything that is no
+    run.
+    """
     run = RunFolder(tmp_path / "run")
     run_command(["run", *words])
     file = run.renders(LABELS[0], "cam00") / JOB_FILE

@@ -1,4 +1,6 @@
-"""The protocols of the three data sets say what the paper says, and what it leaves open is marked as ours."""
+"""The protocols of the three data sets say what the paper says, and what it leaves open is marked
+as ours.
+"""
 
 from pathlib import Path
 
@@ -16,7 +18,9 @@ PAPERS = [name for name, terms in published_terms().items() if terms.layouts]
 COMMUNITY = [name for name in published_terms() if name not in PAPERS]
 
 
-def rig_of(layout: str, names: list[str], n_frames: int, size: tuple[int, int] = (64, 48)) -> Capture:
+def rig_of(
+    layout: str, names: list[str], n_frames: int, size: tuple[int, int] = (64, 48)
+) -> Capture:
     cameras = tuple(make_rig(names, *size))
     return Capture("scene", layout, Path("scene"), cameras, (), n_frames, 30.0, 1.0, "guess")
 
@@ -30,7 +34,9 @@ def rig_of(layout: str, names: list[str], n_frames: int, size: tuple[int, int] =
     ],
 )
 def test_protocols_are_the_papers(name, views, k, size, measured):
-    """Views, K, frames and sizes as in the paper's section on evaluation; metrics of ENeRF-Outdoor at half size."""
+    """Views, K, frames and sizes as in the paper's section on evaluation; metrics of ENeRF-Outdoor
+    at half size.
+    """
     protocol = load_protocol(name)
 
     assert len(protocol.views.test) == views
@@ -42,17 +48,23 @@ def test_protocols_are_the_papers(name, views, k, size, measured):
 
 @pytest.mark.parametrize("name", packaged_protocols())
 def test_who_chose_the_views_is_said(name):
-    """The paper does not say which cameras it tests, so its lists say that they are ours; the others are their authors'."""
+    """The paper does not say which cameras it tests, so its lists say that they are ours; the
+    others are their authors'.
+    """
     by = "the authors" if name in COMMUNITY else "us"
     assert load_protocol(name).views.chosen_by.startswith(f"chosen by {by}: ")
 
 
 @pytest.mark.parametrize("name", COMMUNITY)
 def test_community_protocols_stand_apart_from_the_papers(name):
-    """The authors' cameras are held out, at the published size, under a name of the data set that has no row of the paper."""
+    """The authors' cameras are held out, at the published size, under a name of the data set that
+    has no row of the paper.
+    """
     protocol = load_protocol(name)
     counts = {"panoptic": {4}, "llff_3view": {4}, "llff_sparse": {3, 4, 5, 6, 7, 8}}
-    assert len(protocol.views.test) in next((count for key, count in counts.items() if name.startswith(key)), {1})
+    assert len(protocol.views.test) in next(
+        (count for key, count in counts.items() if name.startswith(key)), {1}
+    )
     assert protocol.dataset not in {load_protocol(paper).dataset for paper in PAPERS}
     assert protocol.views.keep_unsynced == (name in ("n3v_4dgs", "n3v_stg"))
     if name.startswith("n3v_") and not name.endswith("_instant"):
@@ -106,8 +118,12 @@ def test_a_capture_gets_the_protocol_of_its_layout(layout, names, wanted):
 
 
 def test_a_small_rig_gets_its_layouts_rules_at_its_own_size():
-    """Too short for the packaged protocol: views by rule, K of the layout or the cameras, metrics at that share of the size."""
-    suggested = suggest_protocol(rig_of("enerf-outdoor", ["00", "01", "02", "03", "04"], 7, (320, 180)))
+    """Too short for the packaged protocol: views by rule, K of the layout or the cameras, metrics
+    at that share of the size.
+    """
+    suggested = suggest_protocol(
+        rig_of("enerf-outdoor", ["00", "01", "02", "03", "04"], 7, (320, 180))
+    )
 
     assert suggested.views.test == ("01", "03")
     assert suggested.frames.count == 7

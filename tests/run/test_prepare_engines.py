@@ -1,4 +1,6 @@
-"""Preparing and measuring a run on every engine: frames, depth, masks, path and ceilings are the same bytes."""
+"""Preparing and measuring a run on every engine: frames, depth, masks, path and ceilings are the
+same bytes.
+"""
 
 import dataclasses
 import os
@@ -29,7 +31,9 @@ def demo_capture(tmp_path_factory):
 def protocol() -> Protocol:
     """Everything that a run can have: masks, a path, ceilings."""
     protocol = small_protocol(3, 3, ("PSNR", "L1", "TCC", "PSNR_disoccluded"))
-    return dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ceilings=True))
+    return dataclasses.replace(
+        protocol, measurement=dataclasses.replace(protocol.measurement, ceilings=True)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,27 +47,39 @@ def serial(demo_capture, protocol, tmp_path_factory) -> Path:
 def contents(root: Path) -> dict[str, bytes]:
     """Files of a run but those that note times."""
     files = (file for file in root.rglob("*") if file.is_file() and file.name not in CLOCKED)
-    return {file.relative_to(root).as_posix(): file.read_bytes() for file in files if "jobs" not in file.parts}
+    return {
+        file.relative_to(root).as_posix(): file.read_bytes()
+        for file in files
+        if "jobs" not in file.parts
+    }
 
 
 @pytest.mark.proof
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_a_whole_run_is_the_same_on_every_engine(engine, serial, demo_capture, protocol, tmp_path):
-    """Truth, depth, masks, renders, path and table are byte for byte those of one process; so are ceilings and path scores."""
+    """Truth, depth, masks, renders, path and table are byte for byte those of one process; so are
+    ceilings and path scores.
+    """
     if engine.engine == "dask":
         pytest.importorskip("distributed")
 
     measure(plan_run(RunRequest(tmp_path / "run", demo_capture, protocol, LABELS[:1])), engine)
 
     expected, found = contents(serial), contents(tmp_path / "run")
-    assert {"truth", "depth", "disoccluded", "path_depth", "renders", "path"} <= {name.split("/")[0] for name in expected}
+    assert {"truth", "depth", "disoccluded", "path_depth", "renders", "path"} <= {
+        name.split("/")[0] for name in expected
+    }
     assert set(found) == set(expected)
     assert [name for name in expected if found[name] != expected[name]] == []
-    assert (tmp_path / "run" / "references.json").read_bytes() == (serial / "references.json").read_bytes()
+    assert (tmp_path / "run" / "references.json").read_bytes() == (
+        serial / "references.json"
+    ).read_bytes()
 
 
 def note_who(diary: Path, number: int) -> None:
-    """Say which process does the work; the third item kills its first one, as the kernel does when memory is out."""
+    """Say which process does the work; the third item kills its first one, as the kernel does when
+    memory is out.
+    """
     if number == 3 and not (diary / "death").exists():
         (diary / "death").touch()
         time.sleep(0.3)  # others are in hand then
@@ -73,10 +89,14 @@ def note_who(diary: Path, number: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "engine", [Engine(2), pytest.param(Engine(2, "dask"), marks=pytest.mark.proof)], ids=["processes", "dask"]
+    "engine",
+    [Engine(2), pytest.param(Engine(2, "dask"), marks=pytest.mark.proof)],
+    ids=["processes", "dask"],
 )
 def test_the_work_is_done_elsewhere_and_survives_a_kill(engine, tmp_path):
-    """Every item is done by a worker and none by this process, though one of the workers is killed."""
+    """Every item is done by a worker and none by this process, though one of the workers is
+    killed.
+    """
     if engine.engine == "dask":
         pytest.importorskip("distributed")
 

@@ -34,7 +34,10 @@ def rig_of(names=NAMES, turned: str = "") -> Capture:
     cameras = make_rig(names)
     away = np.diag([-1.0, 1.0, -1.0, 1.0])
     cameras = [
-        replace(camera, world_to_camera=away @ camera.world_to_camera) if camera.name == turned else camera for camera in cameras
+        replace(camera, world_to_camera=away @ camera.world_to_camera)
+        if camera.name == turned
+        else camera
+        for camera in cameras
     ]
     return Capture("scene", "colmap", Path("scene"), tuple(cameras), (), 30, 30.0, 1.0, "guess")
 
@@ -51,7 +54,9 @@ def test_every_camera_has_a_reason():
 
 
 def test_test_views_may_be_chosen():
-    """Each with what its sources show of it; the rest stays as proposed; a name of no camera is told with those there are."""
+    """Each with what its sources show of it; the rest stays as proposed; a name of no camera is
+    told with those there are.
+    """
     rig = rig_of(turned="cam2")
     proposal = hold_out(propose_protocol(rig), rig, ("cam2", "cam0"), {})
     assert proposal.protocol.views.test == ("cam2", "cam0")
@@ -65,14 +70,20 @@ def test_test_views_may_be_chosen():
 
 @pytest.mark.parametrize("count", [21, pytest.param(240, marks=pytest.mark.slow)])
 def test_nine_of_many_cameras_are_spread_over_the_rig(count):
-    """One of each ninth of the cameras; the reason of the others is true of all of them, and said once."""
+    """One of each ninth of the cameras; the reason of the others is true of all of them, and said
+    once.
+    """
     names = [f"{number:06d}" for number in range(count)]
     proposal = propose_protocol(rig_of(names))
     held_out = [int(name) for name in proposal.protocol.views.test]
     assert len(held_out) == 9
     assert max(held_out) - min(held_out) >= 0.75 * count
     assert np.ptp(np.diff(held_out)) <= 2
-    others = {reason for name, reason in proposal.reasons.items() if name not in proposal.protocol.views.test}
+    others = {
+        reason
+        for name, reason in proposal.reasons.items()
+        if name not in proposal.protocol.views.test
+    }
     assert others == {f"stays a source: nine of {count} cameras, spread evenly, are held out"}
 
 
@@ -88,13 +99,27 @@ def test_a_doubtful_camera_among_many_gives_its_place_to_a_neighbour():
 
 
 def test_published_protocols_are_those_whose_cameras_a_capture_has():
-    """A capture of the cameras, frames and shape of Neural 3D Video is offered its protocols, a shorter one none."""
-    cameras = [camera.resized(1344, 1008) for camera in rig_of([f"cam{number:02d}" for number in range(21)]).cameras]
+    """A capture of the cameras, frames and shape of Neural 3D Video is offered its protocols, a
+    shorter one none.
+    """
+    cameras = [
+        camera.resized(1344, 1008)
+        for camera in rig_of([f"cam{number:02d}" for number in range(21)]).cameras
+    ]
     alike = replace(rig_of(), cameras=tuple(cameras), n_frames=300)
     assert not published_protocols(replace(alike, n_frames=40))
-    assert {each.name for each in published_protocols(alike)} == {"n3v_3dgstream", "n3v_4dgs", "n3v_queen", "n3v_stg"}
+    assert {each.name for each in published_protocols(alike)} == {
+        "n3v_3dgstream",
+        "n3v_4dgs",
+        "n3v_queen",
+        "n3v_stg",
+    }
     steak = {each.name for each in published_protocols(replace(alike, scene="flame_steak"))}
-    assert {name for name in steak if "sparse" in name} == {"n3v_sparse2", "n3v_sparse3", "n3v_sparse4"}
+    assert {name for name in steak if "sparse" in name} == {
+        "n3v_sparse2",
+        "n3v_sparse3",
+        "n3v_sparse4",
+    }
     wide = replace(alike, cameras=tuple(camera.resized(1920, 1080) for camera in cameras))
     assert {each.name for each in published_protocols(wide)} == {"meetroom_3dgstream"}
     assert not published_protocols(rig_of())
@@ -104,8 +129,12 @@ def test_a_camera_in_doubt_is_no_truth():
     """What the check found is the reason; the others stay held out."""
     proposal = propose_protocol(rig_of(), {"cam3": "time offset: 0.4 frames behind the rig"})
     assert proposal.protocol.views.test == ("cam1", "cam5")
-    assert all(part in proposal.reasons["cam3"] for part in ("stays a source", "time offset", "0.4 frames"))
-    assert proposal.protocol.views.chosen_by.endswith("without those in doubt and those that the other cameras hardly show")
+    assert all(
+        part in proposal.reasons["cam3"] for part in ("stays a source", "time offset", "0.4 frames")
+    )
+    assert proposal.protocol.views.chosen_by.endswith(
+        "without those in doubt and those that the other cameras hardly show"
+    )
 
 
 def test_a_view_that_nobody_shows_is_passed_over():
@@ -118,7 +147,9 @@ def test_a_view_that_nobody_shows_is_passed_over():
 
 
 def test_the_other_cameras_take_over_where_none_is_left():
-    """With every second camera in doubt those between are held out; with all in doubt the rule stands."""
+    """With every second camera in doubt those between are held out; with all in doubt the rule
+    stands.
+    """
     doubts = dict.fromkeys(NAMES[1::2], "noise: 9")
     assert propose_protocol(rig_of(), doubts).protocol.views.test == ("cam0", "cam2", "cam4")
     everybody = propose_protocol(rig_of(), dict.fromkeys(NAMES, "noise: 9"))
@@ -128,7 +159,9 @@ def test_the_other_cameras_take_over_where_none_is_left():
 
 def test_a_packaged_protocol_keeps_its_views():
     """Its own words are the reason; a doubt is told beside."""
-    capture = replace(rig_of([f"cam{number:02d}" for number in range(21)]), layout="dynerf", n_frames=300)
+    capture = replace(
+        rig_of([f"cam{number:02d}" for number in range(21)]), layout="dynerf", n_frames=300
+    )
     proposal = propose_protocol(capture, {"cam00": "noise: sigma 9"})
     assert proposal.protocol == load_protocol("dynerf")
     assert proposal.reasons["cam00"].startswith("chosen by us: ")
@@ -147,7 +180,14 @@ def test_doubts_are_the_worst_of_a_check(tmp_path):
     )
     write_json(tmp_path / "check.json", CaptureCheck(tmp_path, findings).to_json())
     assert read_doubts(tmp_path / "check.json") == {"cam1": "time offset: 2 frames behind"}
-    for text in ("{}", "[]", '{"findings": [{"a": 1}]}', '{"findings": [1]}', '{"findings": [{"subject":', "\x80"):
+    for text in (
+        "{}",
+        "[]",
+        '{"findings": [{"a": 1}]}',
+        '{"findings": [1]}',
+        '{"findings": [{"subject":',
+        "\x80",
+    ):
         (tmp_path / "check.json").write_text(text, encoding="latin-1")
         with refused(CaptureError, "ggvs-eval check"):
             read_doubts(tmp_path / "check.json")
@@ -167,7 +207,9 @@ def test_the_command_writes_a_file_that_run_takes(dynerf, tmp_path, capsys):
     assert (late.start, late.count) == (1, n_frames - 1)
     message = refusal("protocol", dynerf, tmp_path / "c.toml", "--start", str(n_frames))
     assert f"--start {n_frames}: wanted an instant of {dynerf}, 0 to {n_frames - 1}" in message
-    assert "wanted a file of 'ggvs-eval check'" in refusal("protocol", dynerf, tmp_path / "b.toml", "--check", file)
+    assert "wanted a file of 'ggvs-eval check'" in refusal(
+        "protocol", dynerf, tmp_path / "b.toml", "--check", file
+    )
     assert json.dumps(str(tmp_path)) not in file.read_text()
     with pytest.raises(ProtocolError, match="one frame or more"):
         written.shortened(0, None)

@@ -88,19 +88,29 @@ def test_packaged_protocols_survive_a_round_trip(name, tmp_path):
 
 
 def test_the_hash_depends_on_every_value():
-    """Changing any one value changes the hash; without what came later it is the one of older results."""
+    """Changing any one value changes the hash; without what came later it is the one of older
+    results.
+    """
     protocol = load_protocol("demo")
     changed = [
         dataclasses.replace(protocol, name="other"),
         dataclasses.replace(protocol, frames=dataclasses.replace(protocol.frames, count=3)),
-        dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0)),
-        dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, resize_filter="area")),
-        dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, sources="coverage")),
+        dataclasses.replace(
+            protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0)
+        ),
+        dataclasses.replace(
+            protocol, synthesis=dataclasses.replace(protocol.synthesis, resize_filter="area")
+        ),
+        dataclasses.replace(
+            protocol, synthesis=dataclasses.replace(protocol.synthesis, sources="coverage")
+        ),
     ]
 
     assert len({item.sha256 for item in [protocol, *changed]}) == 6
     protocol = load_protocol("demo")
-    older = dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, lpips_every=1))
+    older = dataclasses.replace(
+        protocol, measurement=dataclasses.replace(protocol.measurement, lpips_every=1)
+    )
     assert older.sha256 == DEMO_SHA256
     assert protocol.sha256 != DEMO_SHA256
 
@@ -121,7 +131,8 @@ def test_the_hash_depends_on_every_value():
         (
             "[views]\ntest",
             "kind = 3\n[views]\nviews",
-            r"unknown key kind; did you mean .*; also unknown key views.views; .*; also missing key views.test; add it",
+            r"unknown key kind; did you mean .*; also unknown key views.views; .*; also missing "
+            r"key views.test; add it",
         ),
         ('"lanczos"', '"lanzcos"', "synthesis.resize_filter must be one of 'area', 'lanczos'"),
         ("[frames]", "[frame]", r"unknown key frame; did you mean frames\?"),
@@ -146,7 +157,9 @@ def test_mistakes_are_refused_in_one_line(old, new, message, tmp_path):
 
 
 def test_test_views_alone_are_a_protocol(tmp_path):
-    """All else has a default: the file's name, four sources, the usual metrics, and as many frames as the capture has."""
+    """All else has a default: the file's name, four sources, the usual metrics, and as many frames
+    as the capture has.
+    """
     (tmp_path / "mine.toml").write_text("views.test = ['cam01', 'cam04']\n")
     protocol = load_protocol(tmp_path / "mine.toml")
     assert (protocol.name, protocol.dataset, protocol.synthesis.k) == ("mine", "mine", 4)

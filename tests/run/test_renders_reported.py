@@ -17,7 +17,9 @@ from helpers.render_folders import FRAMES, make_run, truth, write_folders
 
 @pytest.fixture(scope="module")
 def partial_run(tmp_path_factory) -> RunFolder:
-    """Two whole methods, and a perfect one of one view and two frames, with its report; nobody changes it."""
+    """Two whole methods, and a perfect one of one view and two frames, with its report; nobody
+    changes it.
+    """
     tmp_path = tmp_path_factory.mktemp("partial")
     run = make_run(tmp_path / "run", ("PSNR",))
     import_renders(run, "a", write_folders(tmp_path / "a"))
@@ -31,14 +33,22 @@ def partial_run(tmp_path_factory) -> RunFolder:
 
 
 def test_a_partial_row_is_marked_and_not_ranked(partial_run):
-    """The row's name and the caption say that it is partial; though its numbers are best, it is not bold."""
+    """The row's name and the caption say that it is partial; though its numbers are best, it is not
+    bold.
+    """
     lines = (partial_run.report / "tables.md").read_text().splitlines()
     rows = [line for line in lines if line.startswith("| c ")]
     assert rows
     assert all(line.startswith("| c (partial) |") and "**" not in line for line in rows)
-    assert any("c is partial in room: 0 of 2 views complete, 2 of 6 frames (cam00); it is not ranked." in line for line in lines)
+    assert any(
+        "c is partial in room: 0 of 2 views complete, 2 of 6 frames (cam00); it is not ranked."
+        in line
+        for line in lines
+    )
     assert any(line.startswith("| a | ") for line in lines)
-    assert any("b (faulty) shows the same frames as a, so it is not ranked" in line for line in lines)
+    assert any(
+        "b (faulty) shows the same frames as a, so it is not ranked" in line for line in lines
+    )
 
 
 @pytest.mark.slow
@@ -53,7 +63,9 @@ def test_a_run_of_partial_renders_alone_has_a_page(partial_run, tmp_path):
 
 
 def test_nothing_is_said_of_images_that_nobody_knows(partial_run):
-    """Frames that others rendered are not said to be made from the protocol's sources, in tables or on the page."""
+    """Frames that others rendered are not said to be made from the protocol's sources, in tables or
+    on the page.
+    """
     assert "other cameras" not in (partial_run.report / "index.html").read_text()
     for name in ("index.html", "tables.md", "tables.tex"):
         assert "source views" not in (partial_run.report / name).read_text()
@@ -62,8 +74,15 @@ def test_nothing_is_said_of_images_that_nobody_knows(partial_run):
 def test_marks_survive_merging(partial_run):
     """Results of several scenes in one keep the marks of each."""
     results = score(partial_run)
-    inputs = {name.replace("room/", "hall/"): f"{digest} too" for name, digest in results.provenance["inputs"].items()}
-    other = replace(results, table=results.table.assign(scene="hall"), provenance=results.provenance | {"inputs": inputs})
+    inputs = {
+        name.replace("room/", "hall/"): f"{digest} too"
+        for name, digest in results.provenance["inputs"].items()
+    }
+    other = replace(
+        results,
+        table=results.table.assign(scene="hall"),
+        provenance=results.provenance | {"inputs": inputs},
+    )
 
     merged = merge_results([results, other])
 

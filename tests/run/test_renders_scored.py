@@ -1,4 +1,6 @@
-"""From renders of others to a table: whole ones, partial ones that are marked, and the command line around it."""
+"""From renders of others to a table: whole ones, partial ones that are marked, and the command line
+around it.
+"""
 
 import hashlib
 import re
@@ -50,11 +52,15 @@ def partial_folder(folder: Path) -> Path:
 def cells(results: Results, method: str) -> dict[tuple[str | None, int, str], float]:
     rows = results.table[results.table["method"] == method]
     views = [None if view != view else view for view in rows["view"]]  # pandas writes NaN for None
-    return dict(zip(zip(views, rows["frame"], rows["metric"], strict=True), rows["value"], strict=True))
+    return dict(
+        zip(zip(views, rows["frame"], rows["metric"], strict=True), rows["value"], strict=True)
+    )
 
 
 def test_partial_renders_are_scored_where_they_are_and_marked(truth_run, tmp_path):
-    """What is there has the values it would have in whole renders; what is not has no value; the results say which row."""
+    """What is there has the values it would have in whole renders; what is not has no value; the
+    results say which row.
+    """
     import_renders(truth_run, "whole", write_folders(tmp_path / "whole"))
     import_renders(truth_run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
 
@@ -65,12 +71,16 @@ def test_partial_renders_are_scored_where_they_are_and_marked(truth_run, tmp_pat
     assert Results.read(truth_run.root).provenance["partial"] == {"some": mark}
     frames = {("cam02", 2), ("cam02", 4), ("cam00", 2), ("cam00", 3)}
     assert {(view, frame) for view, frame, metric in some if metric == "L1"} == frames
-    assert {(view, frame) for view, frame, metric in some if metric == "TCC"} == {("cam00", 2)}  # no pair across the gap
-    assert {(view, frame) for view, frame, metric in some if metric == "SDV"} == {(None, 2)}  # where both views are there
+    # no pair across the gap
+    assert {(view, frame) for view, frame, metric in some if metric == "TCC"} == {("cam00", 2)}
+    # where both views are there
+    assert {(view, frame) for view, frame, metric in some if metric == "SDV"} == {(None, 2)}
     for place in ((*cell, metric) for cell in frames for metric in ("PSNR", "L1")):
         assert some[place] == whole[place]
     assert some[("cam00", 2, "TCC")] == whole[("cam00", 2, "TCC")]
-    assert some[("cam00", -1, "SDT")] == pytest.approx(np.std([some[("cam00", t, "L1")] for t in (2, 3)], ddof=1))
+    assert some[("cam00", -1, "SDT")] == pytest.approx(
+        np.std([some[("cam00", t, "L1")] for t in (2, 3)], ddof=1)
+    )
     assert results.not_computed == {}
 
 
@@ -85,11 +95,14 @@ def test_the_announced_time_is_of_what_is_left(truth_run, tmp_path):
         import_renders(truth_run, label, write_folders(tmp_path / label))
 
     assert plan_scores(truth_run, ["a", "b", "c", "d"]).time_words(1).startswith(words)
-    assert plan_scores(truth_run, ["a", "b", "c"]).time_words(1) == ""  # six frames are not worth a line
+    # six frames are not worth a line
+    assert plan_scores(truth_run, ["a", "b", "c"]).time_words(1) == ""
 
 
 def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
-    """One of two views: its values alone, the mean over it alone, and a reason for what needs two."""
+    """One of two views: its values alone, the mean over it alone, and a reason for what
+    needs two.
+    """
     folder = write_folders(tmp_path / "theirs")
     shutil.rmtree(folder / "cam02")
     record = import_renders(truth_run, "some", folder, allow_partial=True)
@@ -99,7 +112,10 @@ def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
     assert record["partial"] == "1 of 2 views complete, 3 of 6 frames (cam00)"
     assert "missing: some in cam02 lacks all 3 frames" in record["notes"]
     assert set(results.table["view"]) == {"cam00"}
-    levels = [np.abs(rendered("cam00", frame).astype(float) - truth("cam00", frame)).mean() for frame in FRAMES]
+    levels = [
+        np.abs(rendered("cam00", frame).astype(float) - truth("cam00", frame)).mean()
+        for frame in FRAMES
+    ]
     assert results.summary()["L1"].item() == pytest.approx(np.mean(levels))
     assert results.not_computed["SDV"] == "1 view; needs 2"
     pictures = b"".join((folder / "cam00" / f"000{frame}.png").read_bytes() for frame in FRAMES)
@@ -110,7 +126,9 @@ def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
 
 
 def test_a_metric_of_one_view_has_no_reason_beside_its_value(truth_run, tmp_path):
-    """What one view cannot have is named as lacking there; as not computed counts what no view has."""
+    """What one view cannot have is named as lacking there; as not computed counts what no
+    view has.
+    """
     names = (*METRICS, "PSNR_disoccluded")
     protocol = truth_run.protocol()
     protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=names))
@@ -132,7 +150,9 @@ def test_a_metric_of_one_view_has_no_reason_beside_its_value(truth_run, tmp_path
     ]
     assert "pixels" in results.why_absent("PSNR_disoccluded", "a", "cam02")
     (table,) = [
-        one for one in main_tables([read_scores(truth_run.root)], results) if "PSNR_disoccluded" in {c.name for c in one.columns}
+        one
+        for one in main_tables([read_scores(truth_run.root)], results)
+        if "PSNR_disoccluded" in {c.name for c in one.columns}
     ]
     assert "PSNR_disoccluded is a mean without cam02 (in no frame" in " ".join(table.notes)
     assert "not computed" not in {cell.text for row in table.rows for cell in row.cells}
@@ -151,7 +171,8 @@ def test_partial_renders_that_were_completed_lose_their_mark(truth_run, tmp_path
     assert before["partial"]
     assert not after.provenance["partial"]
     assert cells(after, "some")[("cam02", 3, "L1")] == pytest.approx(3, abs=0.2)
-    frame_path(truth_run.renders("some", "cam00"), 3).unlink()  # no partial import excuses what gets lost
+    # no partial import excuses what gets lost
+    frame_path(truth_run.renders("some", "cam00"), 3).unlink()
     with refused(RenderError, "some in cam00", "lacks 3"):
         score(truth_run)
 
@@ -163,7 +184,14 @@ def coffee_folder(tmp_path) -> Path:
 
 @pytest.fixture
 def protocol_path(tmp_path) -> Path:
-    protocol = Protocol("p", "Tiny", Views(("cam01", "cam02"), "by hand"), Frames(1, 3), Synthesis(2), Measurement(METRICS))
+    protocol = Protocol(
+        "p",
+        "Tiny",
+        Views(("cam01", "cam02"), "by hand"),
+        Frames(1, 3),
+        Synthesis(2),
+        Measurement(METRICS),
+    )
     (tmp_path / "p.toml").write_text(protocol.to_toml())
     return tmp_path / "p.toml"
 
@@ -174,7 +202,10 @@ def theirs(coffee_folder, tmp_path) -> Path:
     opened = open_capture(coffee_folder)
     for view in ("cam01", "cam02"):
         for frame, image in enumerate(opened.frames(view, 1, 4), 1):
-            write_image(tmp_path / "theirs" / view / f"{frame:04d}.png", np.minimum(image, 251) + np.uint8(4))
+            write_image(
+                tmp_path / "theirs" / view / f"{frame:04d}.png",
+                np.minimum(image, 251) + np.uint8(4),
+            )
     return tmp_path / "theirs"
 
 
@@ -182,11 +213,25 @@ def command(*arguments: str | Path) -> None:
     run_command([str(argument) for argument in arguments])
 
 
-def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch):
-    """`score --renders --capture --protocol` makes a run of the truth alone under scores/ and prints the table."""
+def test_one_command_scores_renders_of_a_capture(
+    coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch
+):
+    """`score --renders --capture --protocol` makes a run of the truth alone under scores/ and
+    prints the table.
+    """
     monkeypatch.chdir(tmp_path)
 
-    command("score", "--renders", f"mine={theirs}", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
+    command(
+        "score",
+        "--renders",
+        f"mine={theirs}",
+        "--capture",
+        coffee_folder,
+        "--protocol",
+        protocol_path,
+        "--jobs",
+        "1",
+    )
 
     run = RunFolder(tmp_path / "scores" / "coffee")
     assert "mine" in capsys.readouterr().out
@@ -198,12 +243,26 @@ def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, t
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch):
-    """Pasted where the run was made they make it again, without depth; no report of it states a K that nobody knows."""
+def test_the_commands_of_the_page_repeat_a_run_of_renders(
+    coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch
+):
+    """Pasted where the run was made they make it again, without depth; no report of it states a K
+    that nobody knows.
+    """
     monkeypatch.chdir(tmp_path)
     (tmp_path / "RENDERS").mkdir()
     theirs.rename("RENDERS/mine")
-    command("score", "--renders", "RENDERS/mine", "--capture", "coffee", "--protocol", protocol_path, "--jobs", "1")
+    command(
+        "score",
+        "--renders",
+        "RENDERS/mine",
+        "--capture",
+        "coffee",
+        "--protocol",
+        protocol_path,
+        "--jobs",
+        "1",
+    )
     run = RunFolder(tmp_path / "scores" / "coffee")
     printed = reproduce(read_scores(run.root), run.capture_record()["path"])
     for folder in ("renders", "scores"):
@@ -218,15 +277,32 @@ def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protoco
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
     page = (run.report / "index.html").read_text(encoding="utf-8")
     assert '"run": "scores/coffee"' in page
-    texts = [page, capsys.readouterr().out, *((run.report / f"tables.{kind}").read_text() for kind in ("md", "tex"))]
+    texts = [
+        page,
+        capsys.readouterr().out,
+        *((run.report / f"tables.{kind}").read_text() for kind in ("md", "tex")),
+    ]
     assert not [text for text in texts if re.search(r"\bK = \d", text)]
 
 
-def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, theirs, tmp_path, capsys):
-    """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and one line says how."""
+def test_the_numbering_is_printed_and_can_be_said(
+    coffee_folder, protocol_path, theirs, tmp_path, capsys
+):
+    """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and
+    one line says how.
+    """
     for file in sorted(theirs.rglob("*.png")):
         file.rename(file.with_name(f"{int(file.stem) - 1:04d}.png"))
-    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
+    place = (
+        "--run",
+        tmp_path / "run",
+        "--capture",
+        coffee_folder,
+        "--protocol",
+        protocol_path,
+        "--jobs",
+        "1",
+    )
     arguments = ("score", "--renders", theirs, *place)
 
     message = refusal(*arguments)
@@ -234,18 +310,38 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
 
     assert "or give --first-frame 0 if number 0 shows instant 1" in message
     lines = capsys.readouterr().err.splitlines()
-    assert "theirs: numbered by --first-frame 0: 0-2 are used as the instants 1-3 of the capture" in lines
+    assert (
+        "theirs: numbered by --first-frame 0: 0-2 are used as the instants 1-3 of the capture"
+        in lines
+    )
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "label"), [("enerf", "enerf-renders"), pytest.param("my renders (2)", "my-renders-2", marks=pytest.mark.slow)]
+    ("name", "label"),
+    [
+        ("enerf", "enerf-renders"),
+        pytest.param("my renders (2)", "my-renders-2", marks=pytest.mark.slow),
+    ],
 )
-def test_a_folder_may_be_called_as_a_method_is(name, label, coffee_folder, protocol_path, theirs, tmp_path, capsys):
-    """doctor, explain and score find a free name for it; who names renders so explicitly is told."""
+def test_a_folder_may_be_called_as_a_method_is(
+    name, label, coffee_folder, protocol_path, theirs, tmp_path, capsys
+):
+    """doctor, explain and score find a free name for it; who names renders so explicitly is
+    told.
+    """
     folder = theirs.rename(tmp_path / name)
-    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
+    place = (
+        "--run",
+        tmp_path / "run",
+        "--capture",
+        coffee_folder,
+        "--protocol",
+        protocol_path,
+        "--jobs",
+        "1",
+    )
 
     with pytest.raises(SystemExit):  # these frames were made of the captured ones, and it says so
         command("doctor", folder, *place)
@@ -257,15 +353,31 @@ def test_a_folder_may_be_called_as_a_method_is(name, label, coffee_folder, proto
     words = ("score", "--renders", f"{name}={folder}", *place)
     if name == "enerf":
         command(*words)
-        assert f"{folder}: called {label} here, since enerf is a built-in method" in capsys.readouterr().err
+        assert (
+            f"{folder}: called {label} here, since enerf is a built-in method"
+            in capsys.readouterr().err
+        )
     else:
         assert f"give another: --renders {label}=PATH" in refusal(*words)
 
 
-def test_incomplete_renders_end_with_one_line_unless_allowed(coffee_folder, protocol_path, theirs, tmp_path, capsys):
-    """Exit 1 with the gaps and the way out; with --allow-partial the table is followed by what the row stands on."""
+def test_incomplete_renders_end_with_one_line_unless_allowed(
+    coffee_folder, protocol_path, theirs, tmp_path, capsys
+):
+    """Exit 1 with the gaps and the way out; with --allow-partial the table is followed by what the
+    row stands on.
+    """
     shutil.rmtree(theirs / "cam02")
-    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
+    place = (
+        "--run",
+        tmp_path / "run",
+        "--capture",
+        coffee_folder,
+        "--protocol",
+        protocol_path,
+        "--jobs",
+        "1",
+    )
     arguments = ("score", "--renders", f"a={theirs}", *place)
     with pytest.raises(SystemExit) as caught:
         command(*arguments)
@@ -276,7 +388,10 @@ def test_incomplete_renders_end_with_one_line_unless_allowed(coffee_folder, prot
     assert message.startswith("ggvs-eval: ")
     assert "a in cam02 lacks all 3 frames" in message
     assert "\n" not in message
-    assert "a is partial in coffee: 1 of 2 views complete, 3 of 6 frames (cam01)" in capsys.readouterr().out
+    assert (
+        "a is partial in coffee: 1 of 2 views complete, 3 of 6 frames (cam01)"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(
@@ -287,10 +402,15 @@ def test_incomplete_renders_end_with_one_line_unless_allowed(coffee_folder, prot
         (("RUN", "--protocol", "dynerf"), "holds a run of another protocol"),
     ],
 )
-def test_what_contradicts_itself_is_refused(arguments, message, coffee_folder, protocol_path, theirs, tmp_path):
+def test_what_contradicts_itself_is_refused(
+    arguments, message, coffee_folder, protocol_path, theirs, tmp_path
+):
     """No run and no capture, two runs, or another protocol than the run's: one line each."""
     prepare_truth(tmp_path / "run", open_capture(coffee_folder), load_protocol(protocol_path))
-    given = [text.replace("RUN", str(tmp_path / "run")).replace("THEIRS", str(theirs)) for text in arguments]
+    given = [
+        text.replace("RUN", str(tmp_path / "run")).replace("THEIRS", str(theirs))
+        for text in arguments
+    ]
 
     with pytest.raises(SystemExit) as caught:
         command("score", *given)
@@ -325,7 +445,9 @@ def test_linked_renders_that_were_moved_are_named(tmp_path):
 
 @pytest.mark.slow
 def test_doctor_leaves_no_trace(coffee_folder, protocol_path, theirs, tmp_path, monkeypatch):
-    """Without --run nothing is written where `score` writes, be it that the call fails; a run there lends its protocol."""
+    """Without --run nothing is written where `score` writes, be it that the call fails; a run there
+    lends its protocol.
+    """
     monkeypatch.chdir(tmp_path)
     place = ("--capture", coffee_folder, "--jobs", "1")
     with pytest.raises(SystemExit):

@@ -18,7 +18,9 @@ def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
     run = write_run(tmp_path / "run", SMALL)
     folder = report([run], with_figures=False).parent
     files = {file: file.read_bytes() for file in folder.iterdir() if not file.name.startswith(".")}
-    assert {"index.html", "tables.md", "tables.tex", "tables.csv", "reproduction.csv"} <= {file.name for file in files}
+    assert {"index.html", "tables.md", "tables.tex", "tables.csv", "reproduction.csv"} <= {
+        file.name for file in files
+    }
     page = (folder / "index.html").stat().st_mtime_ns
     report([run], with_figures=False)
     assert (folder / "index.html").stat().st_mtime_ns == page
@@ -37,7 +39,11 @@ def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
     pytest.importorskip("openpyxl")
     run = write_run(tmp_path / "run", SMALL)
     with monkeypatch.context() as without:
-        without.setattr(table_formats.importlib.util, "find_spec", lambda name: None if name == "openpyxl" else find_spec(name))
+        without.setattr(
+            table_formats.importlib.util,
+            "find_spec",
+            lambda name: None if name == "openpyxl" else find_spec(name),
+        )
         folder = report([run], with_figures=False).parent
     assert not (folder / "tables.xlsx").exists()
     assert "openpyxl" in capsys.readouterr().err

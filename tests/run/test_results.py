@@ -9,13 +9,22 @@ from ggvs_eval.results import Results, make_table
 
 
 def make_results(values, digest="a" * 64, scene="room", method="ours") -> Results:
-    rows = [("Demo", scene, method, "", view, frame, "PSNR", value) for (view, frame), value in values.items()]
-    return Results(make_table(rows), {"protocol_sha256": digest, "inputs": {f"{scene}/cam00": f"frames of {scene}"}})
+    rows = [
+        ("Demo", scene, method, "", view, frame, "PSNR", value)
+        for (view, frame), value in values.items()
+    ]
+    return Results(
+        make_table(rows),
+        {"protocol_sha256": digest, "inputs": {f"{scene}/cam00": f"frames of {scene}"}},
+    )
 
 
 def test_means_are_taken_over_frames_then_views_then_scenes():
-    """A view with more frames, or a scene with more views, weighs no more; a value without a view counts over frames."""
-    first = make_results({("a", 0): 10.0, ("a", 1): 20.0, ("b", 0): 31.0})  # views 15 and 31: scene 23
+    """A view with more frames, or a scene with more views, weighs no more; a value without a view
+    counts over frames.
+    """
+    # views 15 and 31: scene 23
+    first = make_results({("a", 0): 10.0, ("a", 1): 20.0, ("b", 0): 31.0})
     second = make_results({("a", 0): 3.0}, scene="hall")
 
     summary = merge_results([first, second]).summary()
@@ -42,11 +51,15 @@ def test_results_survive_the_disk(tmp_path):
 def test_different_protocols_do_not_share_a_table():
     """Merging results of two protocols is refused, naming both hashes."""
     with pytest.raises(ResultsError, match=r"aaaaaaaaaaaa, bbbbbbbbbbbb"):
-        merge_results([make_results({("a", 0): 1.0}), make_results({("a", 0): 1.0}, digest="b" * 64)])
+        merge_results(
+            [make_results({("a", 0): 1.0}), make_results({("a", 0): 1.0}, digest="b" * 64)]
+        )
 
 
 def test_damaged_results_are_refused(tmp_path):
-    """Absent ones name the files and the command; a truncated table is an error of the family, not a crash of the reader."""
+    """Absent ones name the files and the command; a truncated table is an error of the family, not
+    a crash of the reader.
+    """
     with pytest.raises(ResultsError, match=r"results.parquet.*ggvs-eval score"):
         Results.read(tmp_path)
     make_results({("a", 0): 1.0}).write(tmp_path)

@@ -1,4 +1,6 @@
-"""Two names with one set of frames: said by score, page and compare, and not ranked against each other."""
+"""Two names with one set of frames: said by score, page and compare, and not ranked against each
+other.
+"""
 
 import shutil
 from dataclasses import replace
@@ -28,14 +30,21 @@ def room(tmp_path_factory) -> Path:
     """A small capture and renders of it: `mine`, a copy of it, and others; nobody changes it."""
     folder = tmp_path_factory.mktemp("twins")
     capture, random = write_small_capture(folder / "room"), np.random.default_rng(3)
-    protocol = replace(small_protocol(N_FRAMES, 0, ("PSNR",)), views=Views(VIEWS, "test"), frames=Frames(0, N_FRAMES))
+    protocol = replace(
+        small_protocol(N_FRAMES, 0, ("PSNR",)),
+        views=Views(VIEWS, "test"),
+        frames=Frames(0, N_FRAMES),
+    )
     (folder / "p.toml").write_text(protocol.to_toml(), encoding="utf-8")
     for view in VIEWS:
         for number in range(N_FRAMES):
             truth = capture.frame(view, number)
             for label in ("mine", "other"):
                 blurred = cv2.GaussianBlur(truth, (7, 7), 1.2) + random.normal(0, 2, truth.shape)
-                write_image(folder / label / view / f"{number:04d}.png", blurred.clip(0, 255).astype(np.uint8))
+                write_image(
+                    folder / label / view / f"{number:04d}.png",
+                    blurred.clip(0, 255).astype(np.uint8),
+                )
     shutil.copytree(folder / "mine", folder / "twin")
     return folder
 
@@ -50,7 +59,9 @@ def scored(room: Path, root: Path, *labels: str) -> RunFolder:
 
 
 def test_a_copy_under_a_second_name_is_not_ranked(room, tmp_path, capsys):
-    """`twin` is set aside by judge, score's lines and compare, with the reason; `mine` and `other` are ranked as before."""
+    """`twin` is set aside by judge, score's lines and compare, with the reason; `mine` and `other`
+    are ranked as before.
+    """
     run = scored(room, tmp_path / "run", "mine", "other", "twin")
     results = Results.read(run.root)
 
@@ -78,7 +89,9 @@ def test_a_view_with_the_frames_of_another_one_is_said(room, tmp_path):
     """Renders of cam00 in the folder of cam01 too."""
     shutil.copytree(room / "other" / "cam00", tmp_path / "copied" / "cam00")
     shutil.copytree(room / "other" / "cam00", tmp_path / "copied" / "cam01")
-    with run_for(tmp_path / "run", lambda: open_capture(room / "room"), str(room / "p.toml"), 1) as run:
+    with run_for(
+        tmp_path / "run", lambda: open_capture(room / "room"), str(room / "p.toml"), 1
+    ) as run:
         import_renders(run, "copied", tmp_path / "copied")
 
     (fault,) = [fault for fault in score(run).faults if fault.question.startswith("same frames")]
@@ -93,4 +106,6 @@ def test_runs_with_the_same_frames_are_not_compared(room, tmp_path):
 
     rows = differences(first, second, roots[0])
 
-    assert {row.verdict for row in rows} == {"not compared: first and second are the same frames, byte by byte"}
+    assert {row.verdict for row in rows} == {
+        "not compared: first and second are the same frames, byte by byte"
+    }

@@ -1,11 +1,13 @@
-"""What is written of methods beside their numbers: titles, and what differs between them by design."""
+"""What is written of methods beside their numbers: titles, and what differs between them by
+design.
+"""
 
 import pytest
 
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import digest_weights
 from ggvs_eval.pipelines.run.score import write_shown_names
-from ggvs_eval.results import Results
+from ggvs_eval.reports.tables_of_runs import scores_text
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run
 
@@ -15,7 +17,9 @@ LABELS = ("enerf", "4dgs", "no-blending", "mine")
 @pytest.fixture
 def run(tmp_path):
     """A run of a learned, a fitted and a plain method, and of somebody's frames."""
-    shape = RunShape(labels=LABELS, names=tuple(zip(LABELS, LABELS, strict=True)), metrics=("PSNR",), poses=0)
+    shape = RunShape(
+        labels=LABELS, names=tuple(zip(LABELS, LABELS, strict=True)), metrics=("PSNR",), poses=0
+    )
     return RunFolder(write_run(tmp_path / "run", shape)), make_protocol(shape)
 
 
@@ -27,14 +31,22 @@ def write_identity(run, protocol, digests):
 
 
 def test_each_kind_of_method_declares_what_no_protocol_removes(run):
-    """Depth, what was learned from, what is not as published; of somebody's frames there is no entry."""
+    """Depth, what was learned from, what is not as published; of somebody's frames there is no
+    entry.
+    """
     folder, protocol = run
-    write_identity(folder, protocol, [digest_weights(file) for file in find_method("enerf").weights])
+    write_identity(
+        folder, protocol, [digest_weights(file) for file in find_method("enerf").weights]
+    )
     write_shown_names(folder, protocol, LABELS)
     record = read_json(folder.root / "methods.json")
 
     declared = record["declared"]
-    assert declared["no-blending"] == {"depth": "given", "learned from": "nothing", "not as published": "-"}
+    assert declared["no-blending"] == {
+        "depth": "given",
+        "learned from": "nothing",
+        "not as published": "-",
+    }
     assert declared["enerf"]["depth"] == "none"
     assert "million pixels" in declared["enerf"]["learned from"]
     assert "compact" in declared["enerf"]["not as published"]
@@ -45,7 +57,9 @@ def test_each_kind_of_method_declares_what_no_protocol_removes(run):
 
 
 def test_a_family_has_a_title_without_the_option_that_its_members_differ_in(run):
-    """A figure over sizes and a table over steps name their lines by it, whether or not the method itself is there."""
+    """A figure over sizes and a table over steps name their lines by it, whether or not the method
+    itself is there.
+    """
     folder, protocol = run
     write_shown_names(folder, protocol, ("ours+scale=0.5", "4dgs+motion=linear+steps=300"))
     names = read_json(folder.root / "methods.json")["names"]
@@ -56,7 +70,9 @@ def test_a_family_has_a_title_without_the_option_that_its_members_differ_in(run)
 
 
 def test_weights_that_were_given_are_not_called_retrained(run):
-    """The renders say which file made them: with another than the one that ships, title and origin are another."""
+    """The renders say which file made them: with another than the one that ships, title and origin
+    are another.
+    """
     folder, protocol = run
     write_identity(folder, protocol, ["0" * 64])
     write_shown_names(folder, protocol, LABELS)
@@ -75,7 +91,9 @@ def test_what_the_paper_does_not_have_is_declared_of_ours():
 
 @pytest.mark.parametrize("label", sorted(METHODS))
 def test_every_method_declares_the_same_columns(label):
-    """A table of them has no blank; each has a title, a line of description, and a label fit for a folder's name."""
+    """A table of them has no blank; each has a title, a line of description, and a label fit for a
+    folder's name.
+    """
     method = find_method(label)
     assert list(method.declared) == ["depth", "learned from", "not as published"]
     assert all([*method.declared.values(), method.title, method.describe])
@@ -85,10 +103,13 @@ def test_every_method_declares_the_same_columns(label):
 def test_a_reduced_model_says_so_in_printed_tables(run):
     """`score` prints the label with the mark; with weights that were given there is none."""
     folder, protocol = run
-    for digests, shown in (([digest_weights(file) for file in find_method("enerf").weights], True), (["0" * 64], False)):
+    for digests, shown in (
+        ([digest_weights(file) for file in find_method("enerf").weights], True),
+        (["0" * 64], False),
+    ):
         write_identity(folder, protocol, digests)
         write_shown_names(folder, protocol, LABELS)
-        lines = Results.read(folder.root).text(folder.shown_names).splitlines()
-        assert lines[0].split() == ["PSNR"]
+        lines = scores_text(folder.root).splitlines()
+        assert lines[1].split() == ["PSNR"]
         assert any(line.startswith("enerf (retrained, compact) ") for line in lines) == shown
         assert any(line.startswith("4dgs ") for line in lines)

@@ -1,4 +1,6 @@
-"""The choice of sources goes through a whole run: the same for all methods, and along the path with shares that follow it."""
+"""The choice of sources goes through a whole run: the same for all methods, and along the path with
+shares that follow it.
+"""
 
 from dataclasses import replace
 
@@ -32,20 +34,28 @@ def chosen_protocol(sources: str) -> Protocol:
     """One view over two frames, and a path of six poses."""
     views, synthesis = Views(("cam00",), "by hand"), Synthesis(k=2, sources=sources)
     measurement = Measurement(metrics=("PSNR", "reprojection"), ceilings=False)
-    return Protocol("tiny", "plane", views, Frames(0, 2), synthesis, measurement, CameraPath(poses=6))
+    return Protocol(
+        "tiny", "plane", views, Frames(0, 2), synthesis, measurement, CameraPath(poses=6)
+    )
 
 
 @pytest.mark.slow
 def test_a_run_takes_the_chosen_sources(plane_capture, tmp_path):
-    """Views and path are synthesised from what `choose_sources` gives; the record of the path says so; scores come out."""
+    """Views and path are synthesised from what `choose_sources` gives; the record of the path says
+    so; scores come out.
+    """
     protocol = chosen_protocol("coverage")
-    planned = plan_run(RunRequest(tmp_path, plane_capture, protocol, LABELS, DepthRunOptions("sgbm")))
+    planned = plan_run(
+        RunRequest(tmp_path, plane_capture, protocol, LABELS, DepthRunOptions("sgbm"))
+    )
     measure(planned, 1)
     for view in planned.plans.values():
         chosen = choose_sources(view.target, plane_capture.cameras, 2, "coverage")
         assert [*view.depth_keys] == [*view.shares] == [each.camera.name for each in chosen]
         assert set(view.shares.values()) == {1.0}  # it stands still
-    for pose, recorded in zip(planned.path, read_json(RunFolder(tmp_path).path_record)["sources"], strict=True):
+    for pose, recorded in zip(
+        planned.path, read_json(RunFolder(tmp_path).path_record)["sources"], strict=True
+    ):
         chosen = choose_sources(pose.target, plane_capture.cameras, 2, "coverage")
         assert pose.shares == {each.camera.name: each.share for each in chosen}
         assert recorded == [*pose.shares]
@@ -64,7 +74,9 @@ def test_shares_are_part_of_what_a_rendering_depends_on(plane_capture, tmp_path)
 
 @pytest.mark.parametrize("sources", ["nearest", "coverage"])
 def test_a_live_method_is_told_the_shares(sources):
-    """Each step's views carry the share of their choice; near an exchange one of them has hardly any."""
+    """Each step's views carry the share of their choice; near an exchange one of them has hardly
+    any.
+    """
     rig, told = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)], []
 
     class Watching:
@@ -87,7 +99,9 @@ def test_a_live_method_is_told_the_shares(sources):
 
 
 def test_a_hand_held_sequence_is_suggested_coverage(plane_capture):
-    """Nearest places of a camera that was carried may look elsewhere; a rig keeps the paper's choice."""
+    """Nearest places of a camera that was carried may look elsewhere; a rig keeps the paper's
+    choice.
+    """
     assert suggest_protocol(replace(plane_capture, layout="rgbd")).synthesis.sources == "coverage"
     assert suggest_protocol(plane_capture).synthesis.sources == "nearest"
 
@@ -96,9 +110,17 @@ def test_all_views_that_no_source_shows_are_in_one_message(plane_capture, tmp_pa
     """The first with its reason, the others by their names."""
     backwards = np.diag([-1.0, 1.0, -1.0, 1.0])
     cameras = [
-        camera if camera.name in ("cam00", "cam01") else replace(camera, world_to_camera=backwards @ camera.world_to_camera)
+        camera
+        if camera.name in ("cam00", "cam01")
+        else replace(camera, world_to_camera=backwards @ camera.world_to_camera)
         for camera in plane_capture.cameras
     ]
-    protocol = replace(chosen_protocol("nearest"), views=Views(("cam00", "cam01"), "by hand"), path=CameraPath(poses=0))
+    protocol = replace(
+        chosen_protocol("nearest"),
+        views=Views(("cam00", "cam01"), "by hand"),
+        path=CameraPath(poses=0),
+    )
     with refused(CameraError, "camera cam00: ", "the same holds for cam01", "enerf"):
-        plan_run(RunRequest(tmp_path, replace(plane_capture, cameras=tuple(cameras)), protocol, LABELS))
+        plan_run(
+            RunRequest(tmp_path, replace(plane_capture, cameras=tuple(cameras)), protocol, LABELS)
+        )

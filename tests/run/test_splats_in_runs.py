@@ -1,4 +1,6 @@
-"""``splats:PATH``: Gaussians that others have fitted are a method of a run, rendered by our splat."""
+"""``splats:PATH``: Gaussians that others have fitted are a method of a run, rendered by our
+splat.
+"""
 
 import json
 import re
@@ -43,7 +45,9 @@ def cloud_before(capture: Capture, grey: float) -> GaussianCloud:
     pixels = np.random.default_rng(0).uniform((0, 0), camera.size, (40, 2))
     points = camera.unproject(pixels, np.full(40, (camera.near + camera.far) / 2))
     means = torch.from_numpy(points).float()
-    return GaussianCloud.of_points(means, torch.full((40, 3), grey), scale=0.1 * camera.far, opacity=0.9)
+    return GaussianCloud.of_points(
+        means, torch.full((40, 3), grey), scale=0.1 * camera.far, opacity=0.9
+    )
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +66,21 @@ def sequence(plane_capture, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(plane_capture, sequence, tmp_path_factory) -> RunPlan:
-    """A whole run of a sequence and of its second cloud alone, in an output folder of 3D Gaussian splatting."""
+    """A whole run of a sequence and of its second cloud alone, in an output folder of 3D Gaussian
+    splatting.
+    """
     trained = tmp_path_factory.mktemp("trained") / "point_cloud"
     for iteration, frame in ((7000, 0), (30000, 1)):
         (trained / f"iteration_{iteration}").mkdir(parents=True)
-        shutil.copy(sequence / f"scene2_{frame:05d}.ply", trained / f"iteration_{iteration}" / "point_cloud.ply")
+        shutil.copy(
+            sequence / f"scene2_{frame:05d}.ply",
+            trained / f"iteration_{iteration}" / "point_cloud.ply",
+        )
     labels, paths = named_splats([f"moving=splats:{sequence}", f"still=splats:{trained.parent}"])
     root = tmp_path_factory.mktemp("run")
-    plan = plan_run(RunRequest(root, plane_capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths)))
+    plan = plan_run(
+        RunRequest(root, plane_capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths))
+    )
     measure(plan, 1)
     return plan
 
@@ -79,16 +90,25 @@ def test_frames_are_those_of_the_splat(finished, plane_capture):
     for label, greys in (("moving", (0.3, 0.7)), ("still", (0.7, 0.7))):
         for frame, grey in enumerate(greys):
             expected = (
-                render_gaussians(cloud_before(plane_capture, grey), finished.plans["cam00"].target).image.clamp(max=1).numpy()
+                render_gaussians(cloud_before(plane_capture, grey), finished.plans["cam00"].target)
+                .image.clamp(max=1)
+                .numpy()
             )
-            assert np.array_equal(read_image(frame_path(finished.run.renders(label, "cam00"), frame)), quantise(expected))
+            assert np.array_equal(
+                read_image(frame_path(finished.run.renders(label, "cam00"), frame)),
+                quantise(expected),
+            )
         on_path = cloud_before(plane_capture, greys[finished.path_frame])
         expected = render_gaussians(on_path, finished.path[1].target).image.clamp(max=1).numpy()
-        assert np.array_equal(read_image(frame_path(finished.run.path(label), 1)), quantise(expected))
+        assert np.array_equal(
+            read_image(frame_path(finished.run.path(label), 1)), quantise(expected)
+        )
 
 
 def test_they_are_scored_and_timed(finished, sequence, plane_capture):
-    """A row of the table like any other, with the milliseconds of the splat; whoever fits again is rendered again, alone."""
+    """A row of the table like any other, with the milliseconds of the splat; whoever fits again is
+    rendered again, alone.
+    """
     scores = read_json(finished.run.root / "results.json")
     record = read_json(finished.run.renders("moving", "cam00") / "job.json")
 
@@ -116,15 +136,23 @@ def test_labels_that_folders_can_bear():
 
 
 def test_what_is_no_scene(tmp_path, plane_capture, sequence):
-    """Absent, empty, unnumbered, twice the same number, a frame that is not there, Gaussians that move: one line each."""
+    """Absent, empty, unnumbered, twice the same number, a frame that is not there, Gaussians that
+    move: one line each.
+    """
     messages = {
         "absent": "got no such path",
         "empty": "got none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",
-        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: wanted a file of tensors",
+        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: wanted a file of "
+        r"tensors",
     }
-    for name, files in (("unnumbered", ("a1", "b")), ("double", ("1", "x01")), ("deformed", ("point_cloud",)), ("empty", ())):
+    for name, files in (
+        ("unnumbered", ("a1", "b")),
+        ("double", ("1", "x01")),
+        ("deformed", ("point_cloud",)),
+        ("empty", ()),
+    ):
         (tmp_path / name).mkdir()
         for file in files:
             (tmp_path / name / f"{file}.ply").touch()
@@ -137,18 +165,27 @@ def test_what_is_no_scene(tmp_path, plane_capture, sequence):
 
 
 def test_a_cloud_in_nerfstudios_world_is_moved_by_the_transform_next_to_it(plane_capture, tmp_path):
-    """What ns-export writes looks as in the capture's world once dataparser_transforms.json lies next to it; harmonics turn."""
+    """What ns-export writes looks as in the capture's world once dataparser_transforms.json lies
+    next to it; harmonics turn.
+    """
     camera = plane_capture.cameras[0]
-    cloud = replace(cloud_before(plane_capture, 0.5), sh=torch.randn(40, 4, 3, generator=torch.Generator().manual_seed(0)) * 0.2)
+    cloud = replace(
+        cloud_before(plane_capture, 0.5),
+        sh=torch.randn(40, 4, 3, generator=torch.Generator().manual_seed(0)) * 0.2,
+    )
     angle, scale = 0.7, 0.05
-    transform = np.array([[np.cos(angle), 0, np.sin(angle), 2], [0, 1, 0, 4], [-np.sin(angle), 0, np.cos(angle), -6]])
+    transform = np.array(
+        [[np.cos(angle), 0, np.sin(angle), 2], [0, 1, 0, 4], [-np.sin(angle), 0, np.cos(angle), -6]]
+    )
     similarity = np.vstack([scale * transform, [0, 0, 0, 1]])
     write_ply(tmp_path / "splat.ply", moved_cloud(cloud, similarity))
     content = {"transform": transform.tolist(), "scale": scale}
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps(content))
 
     picture = open_splats(tmp_path / "splat.ply").render(0, camera).image
-    np.testing.assert_allclose(picture, render_gaussians(cloud, camera).image.clamp(max=1).numpy(), atol=1e-4)
+    np.testing.assert_allclose(
+        picture, render_gaussians(cloud, camera).image.clamp(max=1).numpy(), atol=1e-4
+    )
     assert picture.std() > 0.02
     (note,) = splats_notes(tmp_path / "splat.ply")
     assert "dataparser_transforms.json" in note
@@ -158,10 +195,16 @@ def test_a_cloud_in_nerfstudios_world_is_moved_by_the_transform_next_to_it(plane
 
 
 @pytest.mark.parametrize(
-    ("file", "line"), [("cfg_args", "Namespace(white_background=True)"), ("config.yml", "    background_color: white")]
+    ("file", "line"),
+    [
+        ("cfg_args", "Namespace(white_background=True)"),
+        ("config.yml", "    background_color: white"),
+    ],
 )
 def test_settings_of_the_training_are_applied(file, line, plane_capture, tmp_path):
-    """A cloud that was trained over white is drawn over white, and it is noted; its renders are identified by the file too."""
+    """A cloud that was trained over white is drawn over white, and it is noted; its renders are
+    identified by the file too.
+    """
     folder, camera = tmp_path / "point_cloud" / "iteration_7000", plane_capture.cameras[0]
     folder.mkdir(parents=True)
     write_ply(folder / "point_cloud.ply", cloud_before(plane_capture, 0.2))
@@ -169,12 +212,16 @@ def test_settings_of_the_training_are_applied(file, line, plane_capture, tmp_pat
     (tmp_path / file).write_text(line)
 
     assert open_splats(tmp_path).render(0, camera).image.max() > before.max() + 0.1
-    assert open_splats(folder / "point_cloud.ply").render(0, camera).image.max() > before.max() + 0.1
+    assert (
+        open_splats(folder / "point_cloud.ply").render(0, camera).image.max() > before.max() + 0.1
+    )
     assert any(file in note and "over white" in note for note in splats_notes(tmp_path))
 
 
 def test_a_normalised_world_without_its_transform_is_refused(plane_capture, tmp_path):
-    """The cfg.yml of gsplat says that the world was normalised; without the transform the cloud belongs to no camera."""
+    """The cfg.yml of gsplat says that the world was normalised; without the transform the cloud
+    belongs to no camera.
+    """
     (tmp_path / "ply").mkdir()
     write_ply(tmp_path / "ply" / "point_cloud_6999.ply", cloud_before(plane_capture, 0.2))
     (tmp_path / "cfg.yml").write_text("antialiased: true\nnormalize_world_space: true\n")
@@ -183,11 +230,18 @@ def test_a_normalised_world_without_its_transform_is_refused(plane_capture, tmp_
 
 
 def test_numbers_of_iterations_and_of_frames(plane_capture, tmp_path):
-    """Files numbered by iterations are one cloud, the last; numbers from 1 are the frames from 0; a gap shows before depth."""
+    """Files numbered by iterations are one cloud, the last; numbers from 1 are the frames from 0; a
+    gap shows before depth.
+    """
     for frame in (1, 2):
-        write_ply(tmp_path / "frames" / f"{frame:05d}.ply", cloud_before(plane_capture, 0.2 * frame))
+        write_ply(
+            tmp_path / "frames" / f"{frame:05d}.ply", cloud_before(plane_capture, 0.2 * frame)
+        )
     for iteration in (6999, 29999):
-        write_ply(tmp_path / "ply" / f"point_cloud_{iteration}.ply", cloud_before(plane_capture, iteration / 30000))
+        write_ply(
+            tmp_path / "ply" / f"point_cloud_{iteration}.ply",
+            cloud_before(plane_capture, iteration / 30000),
+        )
 
     assert splats_files(tmp_path / "ply") == [tmp_path / "ply" / "point_cloud_29999.ply"]
     (note,) = splats_notes(tmp_path / "ply")
@@ -197,7 +251,15 @@ def test_numbers_of_iterations_and_of_frames(plane_capture, tmp_path):
     (tmp_path / "frames" / "00002.ply").rename(tmp_path / "frames" / "00003.ply")
     labels, paths = named_splats([f"moving=splats:{tmp_path / 'frames'}"])
     with refused(RenderError, "wanted a cloud of frame 0, there are 2 of 1 to 3"):
-        plan = plan_run(RunRequest(tmp_path / "run", plane_capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths)))
+        plan = plan_run(
+            RunRequest(
+                tmp_path / "run",
+                plane_capture,
+                PROTOCOL,
+                labels,
+                networks=NetworkOptions(splats=paths),
+            )
+        )
         any(task.is_done() for task in plan.renders)
     write_ply(tmp_path / "nothing.ply", random_cloud(0, dtype=torch.float32))
     with refused(RenderError, "nothing.ply", "holds no Gaussians"):
@@ -234,7 +296,9 @@ def test_output_of_4dgs(plane_capture, tmp_path):
     assert expected.max() > 0.2
     assert scene.size_bytes == sum(file.stat().st_size for file in folder.iterdir())
 
-    torch.save({"deformation_net.grid.aabb": Intruder(tmp_path / "ran")}, folder / "deformation.pth")
+    torch.save(
+        {"deformation_net.grid.aabb": Intruder(tmp_path / "ran")}, folder / "deformation.pth"
+    )
     with refused(WeightsError, "deformation.pth", "tensors only"):
         open_splats(tmp_path / "output", range(4))
     assert not (tmp_path / "ran").exists()

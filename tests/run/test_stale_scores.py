@@ -1,4 +1,6 @@
-"""Scores are measured again metric by metric: what the code of one has changed, and nothing else."""
+"""Scores are measured again metric by metric: what the code of one has changed, and nothing
+else.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -51,7 +53,11 @@ def measured(monkeypatch) -> list[tuple[str, ...]]:
 
 def change_code(monkeypatch, *names: str) -> None:
     original = score_view.metric_code
-    monkeypatch.setattr(score_view, "metric_code", lambda metric: "changed" if metric.name in names else original(metric))
+    monkeypatch.setattr(
+        score_view,
+        "metric_code",
+        lambda metric: "changed" if metric.name in names else original(metric),
+    )
 
 
 def records(run: RunFolder) -> dict[str, Any]:
@@ -66,9 +72,13 @@ def records(run: RunFolder) -> dict[str, Any]:
     return {label: (sorted(values), reasons) for label, (values, reasons) in by_label.items()}
 
 
-@pytest.mark.parametrize("changed", [("TCC",), ("STED",), ("STED_ssn",), ("PSNR_static", "L1"), MEASURED])
+@pytest.mark.parametrize(
+    "changed", [("TCC",), ("STED",), ("STED_ssn",), ("PSNR_static", "L1"), MEASURED]
+)
 def test_the_metrics_whose_code_has_changed(changed, scored_run, measured, monkeypatch):
-    """They alone are measured again, of all methods in one pass; together with what stands they are what they were."""
+    """They alone are measured again, of all methods in one pass; together with what stands they are
+    what they were.
+    """
     before = records(scored_run)
     change_code(monkeypatch, *changed)
 
@@ -76,12 +86,18 @@ def test_the_metrics_whose_code_has_changed(changed, scored_run, measured, monke
 
     assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
     assert records(scored_run) == before
-    assert all(task.is_done() for task in plan_scores(scored_run, scored_run.labels(), [VIEW]).view_tasks)
+    assert all(
+        task.is_done() for task in plan_scores(scored_run, scored_run.labels(), [VIEW]).view_tasks
+    )
 
 
 @pytest.mark.parametrize("changed", ["mTV", "mTV2", "Sharpness"])
-def test_what_is_measured_beside_a_metric_takes_the_place_of_what_was(changed, tmp_path, monkeypatch):
-    """MTV brings its Sharpness along: no value is there twice, whichever of the two is stale, and the interval stays."""
+def test_what_is_measured_beside_a_metric_takes_the_place_of_what_was(
+    changed, tmp_path, monkeypatch
+):
+    """MTV brings its Sharpness along: no value is there twice, whichever of the two is stale, and
+    the interval stays.
+    """
     made = make_run(tmp_path / "run", ("PSNR", "mTV", "mTV2"))
     import_renders(made, "one", write_folders(tmp_path / "one"))
     before = score(made)
@@ -91,11 +107,16 @@ def test_what_is_measured_beside_a_metric_takes_the_place_of_what_was(changed, t
 
     keys = ["view", "frame", "metric"]
     assert not after.table.duplicated(keys).any()
-    assert after.table.sort_values(keys)["value"].tolist() == before.table.sort_values(keys)["value"].tolist()
+    assert (
+        after.table.sort_values(keys)["value"].tolist()
+        == before.table.sort_values(keys)["value"].tolist()
+    )
 
 
 def test_versions_of_all_that_was_made_are_kept(scored_run, monkeypatch):
-    """Values that stand keep the versions they were made under; what is measured again by all loses the old ones."""
+    """Values that stand keep the versions they were made under; what is measured again by all loses
+    the old ones.
+    """
     monkeypatch.setattr(scoring, "installed_versions", lambda: {"torch": "0.1"})
     change_code(monkeypatch, "TCC")
     mixed = score(scored_run).provenance["versions"]["torch"]
@@ -108,7 +129,9 @@ def test_versions_of_all_that_was_made_are_kept(scored_run, monkeypatch):
 
 
 def test_another_device_measures_again_what_computes_there(scored_run, measured, monkeypatch):
-    """Values are told from those of the CPU, and a device without room is an error of one line that leaves them alone."""
+    """Values are told from those of the CPU, and a device without room is an error of one line that
+    leaves them alone.
+    """
     before = records(scored_run)
 
     def run_out(*_: Any) -> None:
@@ -122,7 +145,8 @@ def test_another_device_measures_again_what_computes_there(scored_run, measured,
 
     measured.clear()
     results = score(scored_run, device="cpu:0")
-    assert [set(metrics) for metrics in measured] == [{"TCC", "STED", "STED_ssn"}] * 2  # once per view
+    # once per view
+    assert [set(metrics) for metrics in measured] == [{"TCC", "STED", "STED_ssn"}] * 2
     assert results.provenance["devices"]["metrics"] == "cpu"
     for label, (values, reasons) in records(scored_run).items():
         assert reasons == before[label][1]
@@ -132,7 +156,9 @@ def test_another_device_measures_again_what_computes_there(scored_run, measured,
 
 
 def test_values_that_stand_are_those_on_disk(scored_run, monkeypatch):
-    """What is not stale is not looked at: a wrong value in the record stays until its own metric is."""
+    """What is not stale is not looked at: a wrong value in the record stays until its own metric
+    is.
+    """
     file = scored_run.scores(VIEW) / "one" / "L1" / JOB_FILE
     record = read_json(file)
     record["values"][0][2] = 77.5
@@ -148,7 +174,9 @@ def test_values_that_stand_are_those_on_disk(scored_run, monkeypatch):
 
 
 def test_changed_frames_make_every_metric_stale(scored_run, measured):
-    """Scores of equal frames by equal code stand; another frame of one method is measured by every metric, the others by none."""
+    """Scores of equal frames by equal code stand; another frame of one method is measured by every
+    metric, the others by none.
+    """
     score(scored_run)
     assert measured == []  # of the same frames by the same code
     file = frame_path(scored_run.renders("one", VIEW), 3)

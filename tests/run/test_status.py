@@ -1,4 +1,6 @@
-"""The status of a stage: what is done, runs and waits, and how long the rest takes at the pace so far."""
+"""The status of a stage: what is done, runs and waits, and how long the rest takes at the pace so
+far.
+"""
 
 import os
 
@@ -27,8 +29,15 @@ def test_time_left_is_that_of_the_running_and_the_waiting_tasks(tmp_path):
 
 def test_what_is_made_together_counts_once(tmp_path):
     """Metrics of one view are one entry, which is done when each of them is."""
-    folders = [tmp_path / "scores" / view / "ours" / metric for view in ("cam00", "cam01") for metric in ("L1", "PSNR")]
-    tasks = [Task(name=f"scores of {folder.parts[-3]}", folder=folder, inputs={}, above=2) for folder in folders]
+    folders = [
+        tmp_path / "scores" / view / "ours" / metric
+        for view in ("cam00", "cam01")
+        for metric in ("L1", "PSNR")
+    ]
+    tasks = [
+        Task(name=f"scores of {folder.parts[-3]}", folder=folder, inputs={}, above=2)
+        for folder in folders
+    ]
     TaskList(tmp_path, "score").write(tasks)
     for folder in folders[:3]:
         write_json(folder / JOB_FILE, {"sha256": tasks[0].sha256})

@@ -1,4 +1,6 @@
-"""A whole run with a stream: live depth is timed once and counted, offline depth takes no time, and a sweep sets the stream."""
+"""A whole run with a stream: live depth is timed once and counted, offline depth takes no time, and
+a sweep sets the stream.
+"""
 
 from dataclasses import replace
 from statistics import median
@@ -31,13 +33,20 @@ def evaluated(root, capture: Capture, matcher: str, device: str = "cpu") -> RunF
     """The run, measured."""
     protocol = small_protocol(3, 0, ("PSNR", "TCC")).streamed(STREAM)
     networks = NetworkOptions(device=device)
-    measure(plan_run(RunRequest(root, capture, protocol, LABELS, DepthRunOptions(matcher), networks=networks)), 1)
+    measure(
+        plan_run(
+            RunRequest(root, capture, protocol, LABELS, DepthRunOptions(matcher), networks=networks)
+        ),
+        1,
+    )
     return RunFolder(root)
 
 
 @pytest.mark.slow
 def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
-    """Its median is the first stage of every method that looks at depth; a second call measures nothing again."""
+    """Its median is the first stage of every method that looks at depth; a second call measures
+    nothing again.
+    """
     run = evaluated(tmp_path / "live", capture, "live")
     timed = run.live_depth_record.read_bytes()
     stream = read_json(run.stream_record)
@@ -57,9 +66,14 @@ def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
 
 @pytest.mark.slow
 def test_depth_of_a_network_counts_on_a_device_alone(capture, tmp_path):
-    """A GPU finds it as frames arrive; the CPU has computed it before. ``cpu:0`` goes the GPU's way."""
+    """A GPU finds it as frames arrive; the CPU has computed it before. ``cpu:0`` goes the GPU's
+    way.
+    """
     matcher = f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}"
-    there, here = (evaluated(tmp_path / name, capture, matcher, device) for name, device in (("there", "cpu:0"), ("here", "cpu")))
+    there, here = (
+        evaluated(tmp_path / name, capture, matcher, device)
+        for name, device in (("there", "cpu:0"), ("here", "cpu"))
+    )
 
     stages = read_json(there.stream_record)["methods"][LABELS[0]]["stages_ms"]
     seconds = read_json(there.live_depth_record)["seconds"]

@@ -1,4 +1,6 @@
-"""Streaming scores of a run: the renders, re-indexed by the times that they took, through the code of every other score."""
+"""Streaming scores of a run: the renders, re-indexed by the times that they took, through the code
+of every other score.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +24,9 @@ FRAMES = range(0, 7)
 FPS = 10.0
 
 
-def run_of(root: Path, stream: Stream, ms: dict[str, tuple[float, ...]], name: str = "run") -> RunFolder:
+def run_of(
+    root: Path, stream: Stream, ms: dict[str, tuple[float, ...]], name: str = "run"
+) -> RunFolder:
     """A run of methods with these times, all with the same frames."""
     made = make_run(root / name, ("PSNR",), FRAMES)
     stated = tuple(StatedTime(method, times) for method, times in ms.items())
@@ -36,7 +40,9 @@ def set_protocol(run: RunFolder, stream: Stream) -> None:
     """The run's protocol, streamed."""
     protocol = run.protocol()
     measurement = replace(protocol.measurement, metrics=METRICS)
-    run.protocol_file.write_text(replace(protocol, measurement=measurement, stream=stream).to_toml())
+    run.protocol_file.write_text(
+        replace(protocol, measurement=measurement, stream=stream).to_toml()
+    )
 
 
 def numbers(results: Results, row: str) -> dict[str, float]:
@@ -47,23 +53,34 @@ def numbers(results: Results, row: str) -> dict[str, float]:
 
 def measured(run: RunFolder, label: str, view: str = VIEWS[0]) -> dict[str, Any]:
     """The record of each metric of a method in a view."""
-    return {file.parent.name: read_json(file) for file in (run.scores(view) / label).glob(f"*/{JOB_FILE}")}
+    return {
+        file.parent.name: read_json(file)
+        for file in (run.scores(view) / label).glob(f"*/{JOB_FILE}")
+    }
 
 
 def test_infinitely_fast_is_the_plain_score(tmp_path):
-    """Every score of the screen is the plain one, to the last bit, parts included, and the frames are the same files."""
+    """Every score of the screen is the plain one, to the last bit, parts included, and the frames
+    are the same files.
+    """
     run = run_of(tmp_path, Stream(fps=FPS), {"fast": (0.0,)})
     results = score(run)
 
     assert numbers(results, "fast@screen") == numbers(results, "fast")
-    assert frame_path(run.renders("fast@screen", VIEWS[0]), 3).samefile(frame_path(run.renders("fast", VIEWS[0]), 3))
+    assert frame_path(run.renders("fast@screen", VIEWS[0]), 3).samefile(
+        frame_path(run.renders("fast", VIEWS[0]), 3)
+    )
     assert run.labels() == ["fast"]
     assert run.shown_names["fast@screen"] == "fast, on the screen"
 
 
 def test_a_method_of_two_frames_is_held_against_the_truth_two_frames_later(tmp_path):
-    """PSNR by hand; instants without a picture have no frame and no value; the plain scores are what they were."""
-    run = run_of(tmp_path, Stream(fps=FPS, pipelined=True), {"fast": (0.0,), "slow": (100.0, 100.0)})
+    """PSNR by hand; instants without a picture have no frame and no value; the plain scores are
+    what they were.
+    """
+    run = run_of(
+        tmp_path, Stream(fps=FPS, pipelined=True), {"fast": (0.0,), "slow": (100.0, 100.0)}
+    )
     results = score(run)
 
     by_frame = results.per_frame("PSNR", VIEWS[0])[("slow@screen", "")].dropna()
@@ -94,7 +111,9 @@ def test_a_still_scene_does_not_care(tmp_path):
 
 
 def test_scores_are_stale_when_the_screen_changes_and_not_when_a_time_does(tmp_path, monkeypatch):
-    """95 ms and 100 ms of a frame show the same; 105 ms do not, and then the row of the screen alone is measured again."""
+    """95 ms and 100 ms of a frame show the same; 105 ms do not, and then the row of the screen
+    alone is measured again.
+    """
     run = run_of(tmp_path, Stream(fps=FPS), {"one": (95.0,)})
     score(run)
     before = measured(run, "one"), measured(run, "one@screen")
@@ -143,12 +162,15 @@ def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path
     ],
 )
 def test_who_is_not_on_the_screen_says_why(record, reason, tmp_path):
-    """Frames of others, a fit to the whole clip, a fit that takes longer than the clip: no row, and the reason in the record."""
+    """Frames of others, a fit to the whole clip, a fit that takes longer than the clip: no row, and
+    the reason in the record.
+    """
     run = run_of(tmp_path, Stream(fps=FPS), {"one": (0.0,), "other": (0.0,)})
     set_protocol(run, Stream(fps=FPS, stated=(StatedTime("one", (0.0,)),)))
     for view in VIEWS if record else ():
         write_json(
-            run.renders("other", view) / JOB_FILE, {"versions": {}, "identity": {}, "seconds": {"all": [0.0] * 7}, **record}
+            run.renders("other", view) / JOB_FILE,
+            {"versions": {}, "identity": {}, "seconds": {"all": [0.0] * 7}, **record},
         )
     results = score(run)
 
@@ -157,10 +179,15 @@ def test_who_is_not_on_the_screen_says_why(record, reason, tmp_path):
 
 
 def test_the_clock_is_the_median_without_each_first_frame(tmp_path):
-    """Stages of all views, as the table of times has them; depth that was computed before takes no time unless one is stated."""
+    """Stages of all views, as the table of times has them; depth that was computed before takes no
+    time unless one is stated.
+    """
     run = run_of(tmp_path, Stream(fps=FPS), {"one": (0.0,)})
     for view, times in zip(VIEWS, ([9.0, 0.02, 0.02, 0.04], [9.0, 0.03, 0.03, 0.9]), strict=True):
-        write_json(run.renders("one", view) / JOB_FILE, {"seconds": {"blend": times, "splat": [0.01] * 4}, "identity": {}})
+        write_json(
+            run.renders("one", view) / JOB_FILE,
+            {"seconds": {"blend": times, "splat": [0.01] * 4}, "identity": {}},
+        )
     write_json(run.depth_record, {"matcher": "sgbm"})
 
     def stages(stream: Stream) -> dict[str, float]:
@@ -169,14 +196,18 @@ def test_the_clock_is_the_median_without_each_first_frame(tmp_path):
         return dict(read_json(run.stream_record)["methods"]["one"]["stages_ms"])
 
     assert stages(Stream(fps=FPS)) == pytest.approx({"blend": 30.0, "splat": 10.0})
-    assert stages(Stream(fps=FPS, depth_ms=50)) == pytest.approx({"depth": 50.0, "blend": 30.0, "splat": 10.0})
+    assert stages(Stream(fps=FPS, depth_ms=50)) == pytest.approx(
+        {"depth": 50.0, "blend": 30.0, "splat": 10.0}
+    )
     write_json(run.depth_record, {"matcher": "live"})
     write_json(run.live_depth_record, {"seconds": [0.1, 0.2, 0.3], "threads": 1})
     assert stages(Stream(fps=FPS)) == pytest.approx({"depth": 200.0, "blend": 30.0, "splat": 10.0})
 
 
 def test_the_protocol_keeps_its_stream(tmp_path):
-    """A table of its own: read back as written, part of the hash where it is there and of no older one, wrong values refused."""
+    """A table of its own: read back as written, part of the hash where it is there and of no older
+    one, wrong values refused.
+    """
     plain = load_protocol("demo")
     streamed = replace(plain, stream=Stream(fps=30.0, stated=(StatedTime("mine", (12.0, 20.0)),)))
     file = tmp_path / "mine.toml"
@@ -188,7 +219,10 @@ def test_the_protocol_keeps_its_stream(tmp_path):
     for broken, named in (
         (replace(streamed, stream=Stream(fps=0)), "stream.fps"),
         (replace(streamed, stream=Stream(fps=30, depth_ms=-1)), "stream.depth_ms"),
-        (replace(streamed, stream=Stream(fps=30, stated=(StatedTime("mine", ()),))), "stream.stated"),
+        (
+            replace(streamed, stream=Stream(fps=30, stated=(StatedTime("mine", ()),))),
+            "stream.stated",
+        ),
         (replace(streamed, stream=Stream(fps=30.0, warm_up=24)), "stream.warm_up"),
     ):
         file.write_text(broken.to_toml())
@@ -196,12 +230,16 @@ def test_the_protocol_keeps_its_stream(tmp_path):
             load_protocol(file)
 
 
-def test_a_protocol_of_an_earlier_version_says_where_its_metrics_of_the_screen_are(tmp_path, capsys):
+def test_a_protocol_of_an_earlier_version_says_where_its_metrics_of_the_screen_are(
+    tmp_path, capsys
+):
     """It is read without them, and one line says so."""
     protocol = load_protocol("demo")
     metrics = (*protocol.measurement.metrics, "PSNR_stream", "TCC_stream")
     file = tmp_path / "earlier.toml"
-    file.write_text(replace(protocol, measurement=replace(protocol.measurement, metrics=metrics)).to_toml())
+    file.write_text(
+        replace(protocol, measurement=replace(protocol.measurement, metrics=metrics)).to_toml()
+    )
 
     assert load_protocol(file) == load_protocol(file) == protocol
     (line,) = capsys.readouterr().err.splitlines()

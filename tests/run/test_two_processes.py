@@ -1,4 +1,6 @@
-"""Two processes that score one run folder: each waits for the other's view, and neither loses what the other has measured."""
+"""Two processes that score one run folder: each waits for the other's view, and neither loses what
+the other has measured.
+"""
 
 import shutil
 import subprocess
@@ -34,12 +36,18 @@ def run(tmp_path) -> RunFolder:
 
 def methods(run: RunFolder, view: str) -> set[str]:
     """Labels that have values in a view."""
-    return {folder.name for folder in run.scores(view).glob("*/") if (folder / "PSNR" / JOB_FILE).is_file()}
+    return {
+        folder.name
+        for folder in run.scores(view).glob("*/")
+        if (folder / "PSNR" / JOB_FILE).is_file()
+    }
 
 
 @pytest.mark.slow
 def test_no_update_is_lost(run, tmp_path, monkeypatch):
-    """The second process adds a method while the first measures its last view: both methods have values in both views."""
+    """The second process adds a method while the first measures its last view: both methods have
+    values in both views.
+    """
     original, begun = stream.score_views, []
 
     def slow(*arguments, **keywords):
@@ -66,7 +74,9 @@ def test_no_update_is_lost(run, tmp_path, monkeypatch):
 
 
 def test_a_view_without_values_is_no_partial_method(run):
-    """A method that has frames in a view and no values there is an error, not a row over fewer views."""
+    """A method that has frames in a view and no values there is an error, not a row over fewer
+    views.
+    """
     scores = plan_scores(run, ["one"])
     score(run)
     shutil.rmtree(run.scores(LAST) / "one" / "PSNR")

@@ -36,7 +36,9 @@ def test_independent_values_have_the_textbooks_interval():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("frames", "correlation"), [(100, 0.0), (100, 0.8), (300, 0.5), (300, 0.9)])
+@pytest.mark.parametrize(
+    ("frames", "correlation"), [(100, 0.0), (100, 0.8), (300, 0.5), (300, 0.9)]
+)
 def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     """95 % of them, give or take what 400 series allow and what correlation costs."""
     random = np.random.default_rng(3)
@@ -50,9 +52,11 @@ def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     [(100, 0.0, 1000), (100, 0.8, 1000), (100, 0.9, 1000), (100, 0.95, 4000), (300, 0.95, 1000)],
 )
 def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation, count):
-    """At the lengths that the table shows (from 100): 5 % of unmarked intervals exclude 0, and what so many series allow.
+    """At the lengths that the table shows (from 100): 5 % of unmarked intervals exclude 0, and what
+    so many series allow.
 
-    That is enough to see 7 %; 100,000 series of 100 frames and a correlation of 0.95 gave 4.7 to 4.9 %.
+    That is enough to see 7 %; 100,000 series of 100 frames and a correlation of 0.95 gave 4.7 to
+    4.9 %.
     """
     random = np.random.default_rng(3)
     drifts = [measure_drift(wandering(random, frames, correlation)) for _ in range(count)]
@@ -61,7 +65,9 @@ def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation
 
 
 def test_a_clear_drift_is_not_marked():
-    """A slope of ten times its error is called; errors that last for a whole clip leave too few frames, and it says so."""
+    """A slope of ten times its error is called; errors that last for a whole clip leave too few
+    frames, and it says so.
+    """
     random = np.random.default_rng(6)
     drift = measure_drift(wandering(random, 120, 0.5) + 0.2 * np.arange(120))
     assert drift.short == ""

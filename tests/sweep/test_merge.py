@@ -1,4 +1,6 @@
-"""Runs of several machines become one: the same table as of one machine, differences told, nothing half-made."""
+"""Runs of several machines become one: the same table as of one machine, differences told, nothing
+half-made.
+"""
 
 import dataclasses
 import json
@@ -57,7 +59,10 @@ def machines(demo_capture, protocol, tmp_path_factory):
 def values(run: RunFolder) -> dict[str, dict]:
     """Records of all scores of one view."""
     folder = run.scores("cam00")
-    return {file.parent.relative_to(folder).as_posix(): read_json(file) for file in folder.glob(f"*/*/{JOB_FILE}")}
+    return {
+        file.parent.relative_to(folder).as_posix(): read_json(file)
+        for file in folder.glob(f"*/*/{JOB_FILE}")
+    }
 
 
 @pytest.fixture
@@ -68,7 +73,9 @@ def runs(machines, tmp_path):
 
 
 def test_merged_runs_give_the_table_of_one_machine(machines, runs, capsys):
-    """Two methods rendered apart and merged have the values of both rendered together, views' deviation included."""
+    """Two methods rendered apart and merged have the values of both rendered together, views'
+    deviation included.
+    """
     run_command(["merge", str(runs / "out"), str(runs / "a"), str(runs / "b"), "--jobs", "1"])
 
     merged, whole = (Results.read(root).summary() for root in (runs / "out", machines / "whole"))
@@ -87,13 +94,17 @@ def test_a_merged_run_goes_on(demo_capture, protocol, runs):
     prepared = prepare(runs / "out", demo_capture, protocol, labels=LABELS)
 
     assert render(prepared) == 0
-    assert set(before) == {f"{label}/{name}" for label in LABELS for name in ("PSNR", "L1", "checks")}
+    assert set(before) == {
+        f"{label}/{name}" for label in LABELS for name in ("PSNR", "L1", "checks")
+    }
     score(merged)
     assert values(merged) == before
 
 
 def test_views_of_two_machines(demo_capture, protocol, machines, tmp_path):
-    """Shards that rendered other views of the same methods have, merged and scored, the table of one machine."""
+    """Shards that rendered other views of the same methods have, merged and scored, the table of
+    one machine.
+    """
     for name, view in (("a", "cam00"), ("b", "cam01")):
         shutil.copytree(machines / "whole", tmp_path / name)
         run = RunFolder(tmp_path / name)
@@ -118,8 +129,13 @@ def test_what_is_missing_is_told(runs, capsys):
 
 
 def test_other_pictures_of_one_job_are_refused(runs):
-    """Two runs with different pixels of one job cannot be merged; both folders are named, and nothing is left behind."""
-    shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
+    """Two runs with different pixels of one job cannot be merged; both folders are named, and
+    nothing is left behind.
+    """
+    shutil.copytree(
+        RunFolder(runs / "a").renders("no-blending", ""),
+        RunFolder(runs / "b").renders("no-blending", ""),
+    )
     file = frame_path(RunFolder(runs / "b").renders("no-blending", "cam01"), 1)
     write_image(file, 255 - read_image(file))
 
@@ -132,10 +148,14 @@ def test_other_pictures_of_one_job_are_refused(runs):
 
 
 def test_other_values_of_one_method_are_refused(runs):
-    """Values of one method that differ by more than rounding are refused; by rounding, or with the times, they may."""
+    """Values of one method that differ by more than rounding are refused; by rounding, or with the
+    times, they may.
+    """
     for folder in ("renders/no-blending", "scores/cam00/no-blending"):
         shutil.copytree(runs / "a" / folder, runs / "b" / folder)
-    first, second = (RunFolder(runs / name).scores("cam00") / "no-blending" / "L1" for name in ("a", "b"))
+    first, second = (
+        RunFolder(runs / name).scores("cam00") / "no-blending" / "L1" for name in ("a", "b")
+    )
     record = read_json(first / JOB_FILE)
     record["values"][0][2] *= 1 + 1e-9
     write_json(second / JOB_FILE, record)
@@ -152,7 +172,9 @@ def test_other_values_of_one_method_are_refused(runs):
 
 
 def test_other_protocols_are_refused(runs, protocol):
-    """Runs of different protocols are refused, and the message says where they differ; so are captured frames of other bytes."""
+    """Runs of different protocols are refused, and the message says where they differ; so are
+    captured frames of other bytes.
+    """
     other = dataclasses.replace(protocol, synthesis=Synthesis(3))
     toml = (runs / "b" / "protocol.toml").read_text()
     (runs / "b" / "protocol.toml").write_text(other.to_toml())
@@ -179,7 +201,9 @@ def test_other_captures_are_refused_and_moved_ones_taken(runs):
 
 
 def test_a_killed_merge_leaves_nothing_half_made(runs, monkeypatch):
-    """What stops in the middle leaves no run; leftovers of a killed process go when the same merge is called again."""
+    """What stops in the middle leaves no run; leftovers of a killed process go when the same merge
+    is called again.
+    """
 
     def stopped(source, destination):
         if destination.name == "0001.png":
@@ -216,26 +240,42 @@ def test_neither_an_existing_folder_nor_one_run_is_merged(runs):
 
 @pytest.mark.slow
 def test_live_depth_and_fits_are_merged(demo_capture, protocol, tmp_path):
-    """The seconds of live depth and the fitted scenes of the first run that has them come along: the stream has its table."""
+    """The seconds of live depth and the fitted scenes of the first run that has them come along:
+    the stream has its table.
+    """
     streamed = protocol.streamed(Stream(fps=1.0))
     for name, label in zip(("a", "b"), LABELS, strict=True):
-        measure(plan_run(RunRequest(tmp_path / name, demo_capture, streamed, [label], DepthRunOptions("live"))), 1)
+        measure(
+            plan_run(
+                RunRequest(
+                    tmp_path / name, demo_capture, streamed, [label], DepthRunOptions("live")
+                )
+            ),
+            1,
+        )
         fit = tmp_path / name / "fits" / "3dgs" / "all"
         fit.mkdir(parents=True)
         (fit / "scene.npz").write_text(name)
         (fit / JOB_FILE).write_text(json.dumps({"sha256": name}))
 
-    run_command(["merge", str(tmp_path / "out"), str(tmp_path / "a"), str(tmp_path / "b"), "--jobs", "1"])
+    run_command(
+        ["merge", str(tmp_path / "out"), str(tmp_path / "a"), str(tmp_path / "b"), "--jobs", "1"]
+    )
 
     for name in ("live_depth.json", "fits/3dgs/all/scene.npz"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "a" / name).read_bytes()
-    assert {*Results.read(tmp_path / "out").row_labels} == {*LABELS, *(f"{label}@screen" for label in LABELS)}
+    assert {*Results.read(tmp_path / "out").row_labels} == {
+        *LABELS,
+        *(f"{label}@screen" for label in LABELS),
+    }
     kept = {item.name for item in (tmp_path / "a").iterdir()} - {"report"}
     assert {item.name for item in (tmp_path / "out").iterdir()} >= kept
 
 
 def test_a_merged_run_that_cannot_be_scored_is_not_there(runs):
-    """A picture of another size is refused by name, and no folder is left: the next call can be made."""
+    """A picture of another size is refused by name, and no folder is left: the next call can be
+    made.
+    """
     for name in ("a", "b"):
         shutil.rmtree(runs / name / "scores")
     file = frame_path(RunFolder(runs / "b").renders("distance-based", "cam01"), 1)

@@ -12,12 +12,20 @@ from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 
 def write_scores(folder: Path, psnr_db: float, inputs: str = "frames") -> Path:
     """Write one value of one method."""
-    record = {"sha256": inputs, "identity": {"rendered": inputs}, "files": {}, "values": [["PSNR", 0, psnr_db]]}
+    record = {
+        "sha256": inputs,
+        "identity": {"rendered": inputs},
+        "files": {},
+        "values": [["PSNR", 0, psnr_db]],
+    }
     write_json(folder / JOB_FILE, record)
     return folder
 
 
-@pytest.mark.parametrize(("psnr_db", "inputs", "reason"), [(30.1, "frames", "values"), (30.1, "others", "other rendered")])
+@pytest.mark.parametrize(
+    ("psnr_db", "inputs", "reason"),
+    [(30.1, "frames", "values"), (30.1, "others", "other rendered")],
+)
 def test_other_values_of_one_method_are_refused(psnr_db, inputs, reason, tmp_path):
     """A tenth of a decibel more is named with both folders; of other frames it is said so."""
     folders = [write_scores(tmp_path / "a", 30.0), write_scores(tmp_path / "b", psnr_db, inputs)]

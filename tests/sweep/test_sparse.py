@@ -1,4 +1,6 @@
-"""Sparse protocols over the scenes of a data set: one command plans them all, and its table has the authors' values."""
+"""Sparse protocols over the scenes of a data set: one command plans them all, and its table has the
+authors' values.
+"""
 
 import dataclasses
 import shutil
@@ -19,12 +21,21 @@ from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import load_sweep
 from helpers.captures import FPS, make_image, make_rig, write_poses
 
-SCENES = ("coffee_martini", "cook_spinach", "cut_roasted_beef", "flame_salmon_1", "flame_steak", "sear_steak")
+SCENES = (
+    "coffee_martini",
+    "cook_spinach",
+    "cut_roasted_beef",
+    "flame_salmon_1",
+    "flame_steak",
+    "sear_steak",
+)
 SPARSE = load_protocol("n3v_sparse2")
 
 
 def write_scenes(root: Path, scenes: tuple[str, ...], n_frames: int) -> list[Path]:
-    """Scenes in the layout of Neural 3D Video: a video per camera, of the target and its named sources, and poses."""
+    """Scenes in the layout of Neural 3D Video: a video per camera, of the target and its named
+    sources, and poses.
+    """
     videos = []
     for index in range(3):
         videos.append(root / f"{index}.mp4")
@@ -39,11 +50,23 @@ def write_scenes(root: Path, scenes: tuple[str, ...], n_frames: int) -> list[Pat
 
 @pytest.mark.slow
 def test_one_command_plans_the_table_of_a_supplement(tmp_path, capsys):
-    """Six scenes of the published layout, 300 frames each: a dry run finds each scene's own sources."""
+    """Six scenes of the published layout, 300 frames each: a dry run finds each scene's own
+    sources.
+    """
     scenes = write_scenes(tmp_path / "n3v", SCENES, 300)
-    words = ["sweep", "sparse", str(tmp_path / "out"), "--protocol", "n3v_sparse2", "--jobs", "1", "--dry-run"]
+    words = [
+        "sweep",
+        "sparse",
+        str(tmp_path / "out"),
+        "--protocol",
+        "n3v_sparse2",
+        "--jobs",
+        "1",
+        "--dry-run",
+    ]
 
-    with suppress(SystemExit):  # the plan is printed, then refused by a disk that is too small for it
+    # the plan is printed, then refused by a disk that is too small for it
+    with suppress(SystemExit):
         run_command([*words, "--capture", *map(str, scenes)])
 
     printed = capsys.readouterr().out
@@ -52,9 +75,12 @@ def test_one_command_plans_the_table_of_a_supplement(tmp_path, capsys):
 
 
 def test_the_table_has_the_authors_values_of_each_scene_and_their_mean():
-    """Lines of RF-DeRF stand below ours of each scene, and the mean over six scenes is the published one."""
+    """Lines of RF-DeRF stand below ours of each scene, and the mean over six scenes is the
+    published one.
+    """
     index = pd.MultiIndex.from_tuples(
-        [(scene, "n3v_sparse2", "GGVS (online)") for scene in SCENES], names=["capture", "variant", "method"]
+        [(scene, "n3v_sparse2", "GGVS (online)") for scene in SCENES],
+        names=["capture", "variant", "method"],
     )
     measured = pd.DataFrame({"PSNR": np.arange(6.0), "s/frame": 1.0}, index=index)
     result = SweepResult(measured, {}, {f"{scene}/n3v_sparse2": Path(scene) for scene in SCENES})
@@ -62,7 +88,10 @@ def test_the_table_has_the_authors_values_of_each_scene_and_their_mean():
     lines, notes = published_lines({scene: (scene, SPARSE) for scene in SCENES}, measured.columns)
     table = result.with_lines(lines)["PSNR"]
 
-    assert list(table["flame_steak"].index) == [("n3v_sparse2", "GGVS (online)"), ("published", "RF-DeRF")]
+    assert list(table["flame_steak"].index) == [
+        ("n3v_sparse2", "GGVS (online)"),
+        ("published", "RF-DeRF"),
+    ]
     assert table["flame_steak", "published", "RF-DeRF"] == 22.70
     assert table["mean", "n3v_sparse2", "GGVS (online)"] == 2.5
     assert table["mean", "published", "RF-DeRF"] == pytest.approx(lines["PSNR"].mean())
@@ -72,7 +101,9 @@ def test_the_table_has_the_authors_values_of_each_scene_and_their_mean():
 
 @pytest.mark.slow
 def test_each_scene_is_rendered_from_its_own_cameras_under_one_protocol(tmp_path):
-    """Two scenes in small: their sources differ, their protocol does not; other terms have no published line, but the reason."""
+    """Two scenes in small: their sources differ, their protocol does not; other terms have no
+    published line, but the reason.
+    """
     protocol = dataclasses.replace(
         SPARSE,
         frames=Frames(0, 2),
@@ -89,7 +120,11 @@ def test_each_scene_is_rendered_from_its_own_cameras_under_one_protocol(tmp_path
     assert len({RunFolder(root).protocol().sha256 for root in result.runs.values()}) == 1
     sources = [sorted(plan.plans["cam00"].shares) for plan in planned.plans]
     assert sources == [["cam05", "cam11"], ["cam07", "cam14"]]
-    lines, notes = published_lines({scene.name: (scene.name, protocol) for scene in scenes}, ["PSNR"])
+    lines, notes = published_lines(
+        {scene.name: (scene.name, protocol) for scene in scenes}, ["PSNR"]
+    )
     assert lines.empty
-    assert list(notes) == ["published: this run differs from the packaged protocol in frames, synthesis"]
+    assert list(notes) == [
+        "published: this run differs from the packaged protocol in frames, synthesis"
+    ]
     assert len(result.with_lines(lines)) == len(result.table)

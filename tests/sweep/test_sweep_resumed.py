@@ -1,4 +1,6 @@
-"""Sweeps that are killed, that fail in part, or that several machines share end like one that nobody disturbed."""
+"""Sweeps that are killed, that fail in part, or that several machines share end like one that
+nobody disturbed.
+"""
 
 import dataclasses
 import json
@@ -57,13 +59,21 @@ def words(written_dynerf, tmp_path_factory) -> list[str]:
     (root / "protocol.toml").write_text(protocol.to_toml())
     rows = "".join(f"[[row]]\ntitle = '{label}'\nmethod = '{label}'\n" for label in LABELS)
     (root / "sweep.toml").write_text(f"name = 'small'\ndescribe = 'x'\nk = [2, 3]\n{rows}")
-    return [str(root / "sweep.toml"), "--capture", str(written_dynerf), "--protocol", str(root / "protocol.toml")]
+    return [
+        str(root / "sweep.toml"),
+        "--capture",
+        str(written_dynerf),
+        "--protocol",
+        str(root / "protocol.toml"),
+    ]
 
 
 def run_in_python(out: Path, words: list[str], engine: Engine | int = 1, shard: str = "1/1"):
     name, _, capture, _, protocol = words
     start = open_capture(Path(capture)), load_protocol(protocol)
-    return run_sweep(plan_cells(out, {"": start}, load_sweep(name), shard=Shard.parse(shard)), engine)
+    return run_sweep(
+        plan_cells(out, {"": start}, load_sweep(name), shard=Shard.parse(shard)), engine
+    )
 
 
 @pytest.fixture(scope="module")
@@ -81,23 +91,42 @@ def kill_when(begun: Callable[[], object], pid: int) -> None:
 
 def outcome(sweep: Path) -> dict[str, object]:
     """Every rendered byte and every value, with no clock in them; nothing half."""
-    frames = {file.relative_to(sweep).as_posix(): file.read_bytes() for file in sweep.glob("*/renders/*/*/*.png")}
+    frames = {
+        file.relative_to(sweep).as_posix(): file.read_bytes()
+        for file in sweep.glob("*/renders/*/*/*.png")
+    }
     assert len(frames) == 2 * JOBS
     assert [file for file in sweep.rglob("*.tmp")] == []
-    values = {f"{k}/results": pd.read_parquet(sweep / k / "results.parquet").to_csv() for k in ("k2", "k3")}
+    values = {
+        f"{k}/results": pd.read_parquet(sweep / k / "results.parquet").to_csv()
+        for k in ("k2", "k3")
+    }
     table = pd.read_csv(sweep / "sweep.csv", index_col=[0, 1]).drop(columns="s/frame").to_csv()
     return frames | values | {"table": table}
 
 
 @pytest.mark.slow
 def test_a_sweep_killed_at_random_ends_like_an_undisturbed_one(words, undisturbed, tmp_path):
-    """After kill -9 of the main process and its workers, at random, the same call ends with the same bytes and values."""
+    """After kill -9 of the main process and its workers, at random, the same call ends with the
+    same bytes and values.
+    """
     (tmp_path / "main.py").write_text(SWEEP_SCRIPT)
     chance, out, killed = random.Random(4), tmp_path / "sweep", 0
-    command = [sys.executable, str(tmp_path / "main.py"), "sweep", words[0], str(out), *words[1:], "--jobs", "2"]
+    command = [
+        sys.executable,
+        str(tmp_path / "main.py"),
+        "sweep",
+        words[0],
+        str(out),
+        *words[1:],
+        "--jobs",
+        "2",
+    ]
     for wanted_done in sorted(chance.sample(range(JOBS), KILLS)):
         process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
-        while len(list(out.glob("k*/renders/*/*/job.json"))) < wanted_done and process.poll() is None:
+        while (
+            len(list(out.glob("k*/renders/*/*/job.json"))) < wanted_done and process.poll() is None
+        ):
             time.sleep(0.01)
         time.sleep(chance.random() / 10)
         killed += process.poll() is None
@@ -113,13 +142,18 @@ def test_a_sweep_killed_at_random_ends_like_an_undisturbed_one(words, undisturbe
 
 @pytest.mark.slow
 def test_shards_on_their_own_disks_are_the_whole_when_merged(words, undisturbed, tmp_path):
-    """Two machines that share nothing render different views; copied together the last call renders nothing."""
+    """Two machines that share nothing render different views; copied together the last call renders
+    nothing.
+    """
     renders = []
     for number in (1, 2):
         result = run_in_python(tmp_path / f"machine{number}", words, shard=f"{number}/2")
         assert result.table.empty
         renders.append(
-            {file.relative_to(tmp_path / f"machine{number}") for file in (tmp_path / f"machine{number}").glob("*/renders/*/*")}
+            {
+                file.relative_to(tmp_path / f"machine{number}")
+                for file in (tmp_path / f"machine{number}").glob("*/renders/*/*")
+            }
         )
     merged = shutil.copytree(tmp_path / "machine1", tmp_path / "merged", symlinks=True)
     links = shutil.ignore_patterns("truth", "depth")
@@ -135,12 +169,16 @@ def test_shards_on_their_own_disks_are_the_whole_when_merged(words, undisturbed,
 
 
 def test_what_fails_is_listed_and_the_rest_is_done(words, undisturbed, tmp_path, capsys):
-    """With one damaged depth map the jobs that need it fail, `status` names them, the others have their lines; mended, all do."""
+    """With one damaged depth map the jobs that need it fail, `status` names them, the others have
+    their lines; mended, all do.
+    """
     out = Path(shutil.copytree(undisturbed, tmp_path / "sweep", symlinks=True))
     shutil.rmtree(out / "k2" / "renders" / "no-blending")
     shutil.rmtree(out / "k2" / "renders" / "distance-based" / "cam01")
     plan = {file: file.read_bytes() for file in out.glob("depth/*/*.npz")}
-    used = json.loads(next(out.glob("k2/renders/*/cam00/job.json")).read_text())["identity"]["sources"]
+    used = json.loads(next(out.glob("k2/renders/*/cam00/job.json")).read_text())["identity"][
+        "sources"
+    ]
     broken = out / "depth" / used[0][2][:24] / "000001.npz"
     broken.write_bytes(b"damaged")
 
@@ -165,7 +203,9 @@ def test_what_fails_is_listed_and_the_rest_is_done(words, undisturbed, tmp_path,
 
 
 def test_status_counts_what_is_there(undisturbed, tmp_path, capsys):
-    """All jobs are done and weigh what their files weigh; of a run in the sweep only its own; elsewhere nothing is told."""
+    """All jobs are done and weigh what their files weigh; of a run in the sweep only its own;
+    elsewhere nothing is told.
+    """
     render, score = read_status(undisturbed)
     of_k2 = read_status(undisturbed / "k2")[0]
     files = [file for file in undisturbed.glob("*/renders/*/*/*") if file.is_file()]
@@ -195,15 +235,30 @@ def test_status_sees_a_job_that_is_under_way(undisturbed, tmp_path):
 
 
 def test_a_plan_lists_commands_that_make_the_whole(words, tmp_path, capsys):
-    """Its commands prepare, take each view once, and make the table after all of them; options that were given are in each."""
+    """Its commands prepare, take each view once, and make the table after all of them; options that
+    were given are in each.
+    """
     run_command(
-        ["sweep", words[0], str(tmp_path / "s"), *words[1:], "--jobs", "3", "--sensor", "no", "--plan", str(tmp_path / "p.json")]
+        [
+            "sweep",
+            words[0],
+            str(tmp_path / "s"),
+            *words[1:],
+            "--jobs",
+            "3",
+            "--sensor",
+            "no",
+            "--plan",
+            str(tmp_path / "p.json"),
+        ]
     )
 
     first, *views, last = json.loads((tmp_path / "p.json").read_text())["jobs"]
     assert not (tmp_path / "s").exists()
     assert first["command"][-2:] == ["--shard", f"0/{len(views)}"]
-    assert [job["command"][-1] for job in views] == [f"{number}/{len(views)}" for number in range(1, len(views) + 1)]
+    assert [job["command"][-1] for job in views] == [
+        f"{number}/{len(views)}" for number in range(1, len(views) + 1)
+    ]
     assert all(job["after"] == ["prepare"] for job in views)
     assert last["after"] == [job["id"] for job in views]
     assert "k3/cam01" in last["after"]
@@ -221,12 +276,18 @@ def test_a_shard_that_is_none_is_refused(text, words, tmp_path):
 
 @pytest.mark.proof
 def test_dask_workers_render_the_same_bits(words, undisturbed, tmp_path):
-    """A sweep over three dask workers, one of which is killed while it renders, ends like the serial one."""
+    """A sweep over three dask workers, one of which is killed while it renders, ends like the
+    serial one.
+    """
     distributed = pytest.importorskip("distributed")
     out = tmp_path / "sweep"
-    with distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
         victim = cluster.workers[0].process.pid
-        killer = threading.Thread(target=kill_when, args=(lambda: list(out.glob("k*/renders/*/*")), victim))
+        killer = threading.Thread(
+            target=kill_when, args=(lambda: list(out.glob("k*/renders/*/*")), victim)
+        )
         killer.start()
         result = run_in_python(out, words, Engine(1, "dask", cluster.scheduler_address))
         killer.join()

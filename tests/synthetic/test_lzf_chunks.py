@@ -34,7 +34,9 @@ def written(path, image):
 
 @pytest.mark.parametrize("name", IMAGES)
 def test_h5py_reads_what_was_written(tmp_path, name):
-    """Every image comes back bit for bit, whatever its size and content, and never takes more than its own bytes."""
+    """Every image comes back bit for bit, whatever its size and content, and never takes more than
+    its own bytes.
+    """
     read, stored = written(tmp_path / "images.h5", IMAGES[name])
 
     np.testing.assert_array_equal(read, np.stack([IMAGES[name]] * 2))
@@ -42,8 +44,13 @@ def test_h5py_reads_what_was_written(tmp_path, name):
 
 
 def test_a_black_ground_takes_little_room(tmp_path):
-    """An empty image shrinks to a twentieth, one that is two thirds empty to less than a half, noise is stored as it is."""
-    stored = {name: written(tmp_path / f"{name}.h5", image)[1] / image.size for name, image in IMAGES.items()}
+    """An empty image shrinks to a twentieth, one that is two thirds empty to less than a half,
+    noise is stored as it is.
+    """
+    stored = {
+        name: written(tmp_path / f"{name}.h5", image)[1] / image.size
+        for name, image in IMAGES.items()
+    }
 
     assert stored["ground"] < 1 / 20
     assert stored["cut-out"] < 0.5
@@ -51,7 +58,11 @@ def test_a_black_ground_takes_little_room(tmp_path):
 
 
 def test_encoding_is_the_known_one():
-    """Equal bytes are 32 literals at a time and then references back by one of 256 bytes each; what is left is literals."""
+    """Equal bytes are 32 literals at a time and then references back by one of 256 bytes each; what
+    is left is literals.
+    """
     run = bytes([31]) + bytes([9]) * 32
 
-    assert encode_lzf(np.full(3 * 256 + 2, 9, np.uint8)) == 8 * run + 2 * bytes([0xE0, 247, 0]) + bytes([1, 9, 9])
+    assert encode_lzf(np.full(3 * 256 + 2, 9, np.uint8)) == 8 * run + 2 * bytes(
+        [0xE0, 247, 0]
+    ) + bytes([1, 9, 9])

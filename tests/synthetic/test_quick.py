@@ -1,4 +1,6 @@
-"""The demo of a first evaluation: its renders are those of a run, once as they are and once a frame late."""
+"""The demo of a first evaluation: its renders are those of a run, once as they are and once a frame
+late.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from helpers.packing import pack_renders
 
 @pytest.mark.slow
 def test_renders_of_a_run_are_packed_and_come_back(tmp_path, monkeypatch):
-    """What a run rendered is what ``fixed`` shows at its number and ``late`` one frame later, within the video's coding."""
+    """What a run rendered is what ``fixed`` shows at its number and ``late`` one frame later,
+    within the video's coding.
+    """
     monkeypatch.setattr(shipped, "RENDERS", tmp_path / "shipped")
     (tmp_path / "shipped").mkdir()
     protocol = shipped.quick_protocol()

@@ -1,4 +1,6 @@
-"""The rooms that ship are those that are filmed: unpacked in a moment, with the pictures that anybody can film again."""
+"""The rooms that ship are those that are filmed: unpacked in a moment, with the pictures that
+anybody can film again.
+"""
 
 from functools import partial
 from itertools import islice
@@ -29,7 +31,9 @@ def demo(tmp_path_factory):
 
 @pytest.mark.slow
 def test_it_is_a_whole_capture(demo):
-    """All cameras and frames open, the path has its poses and images, and a second call leaves it alone."""
+    """All cameras and frames open, the path has its poses and images, and a second call leaves it
+    alone.
+    """
     capture = open_capture(demo)
     before = (demo / shipped.DEMO_NOTES).stat().st_mtime_ns
 
@@ -59,13 +63,19 @@ def test_another_room_is_refused(demo):
 
 
 def content(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(ROOMS[0], marks=pytest.mark.proof), *ROOMS[1:]])
 def test_packing_what_was_unpacked_changes_nothing(name, tmp_path, monkeypatch):
-    """A camera path and D3DMV's frames go through their videos without loss; what is unpacked is the whole room."""
+    """A camera path and D3DMV's frames go through their videos without loss; what is unpacked is
+    the whole room.
+    """
     room = write_room(tmp_path / "room", name)
     assert write_demo(room, DEMO_ROOMS[name]) == room
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)

@@ -1,4 +1,6 @@
-"""The identity of code: a line changed in a room makes what names the room stale, and nothing else."""
+"""The identity of code: a line changed in a room makes what names the room stale, and
+nothing else.
+"""
 
 import pytest
 
@@ -16,18 +18,25 @@ from ggvs_eval.tasks import identity
 from ggvs_eval.tasks.identity import code_of
 from helpers.other_code import change_code
 
-# A module of the package, with some of the results that are stale when a byte of it changes, and some that are not.
+# A module of the package, with some of the results that are stale when a byte of it changes, and
+# some that are not.
 STALE = {
     "baselines.enerf.rendering": ({"enerf"}, {"ibrnet", "ours", "PSNR", "depth"}),
     "baselines.learned": ({"enerf", "ibrnet", "no-blending", "3dgs-per-instant"}, {"ours", "PSNR"}),
-    "pipelines.online.temporal_filters": ({"ours", "ours-geometric"}, {"enerf", "PSNR", "depth", "path"}),
+    "pipelines.online.temporal_filters": (
+        {"ours", "ours-geometric"},
+        {"enerf", "PSNR", "depth", "path"},
+    ),
     "metrics.image.lpips": ({"LPIPS", "PSNR"}, {"ours", "depth"}),
     "metrics.time.tcc": ({"TCC"}, {"PSNR", "ours"}),
     "metrics.stream": ({"PSNR", "TCC", "ceilings", "path"}, {"ours", "depth"}),
     "metrics.path.view_consistency": ({"path"}, {"PSNR"}),
     "metrics.noise.estimate": ({"ceilings"}, {"ours"}),
     "pipelines.offline.plane_sweep.plane_sweep": ({"depth by sweep"}, {"depth", "ours"}),
-    "pipelines.offline.depth.depth_stream": ({"depth", "depth by sweep", "checked depth"}, {"ours", "PSNR"}),
+    "pipelines.offline.depth.depth_stream": (
+        {"depth", "depth by sweep", "checked depth"},
+        {"ours", "PSNR"},
+    ),
     "contrib.warp.step": ({"ours on a GPU"}, {"ours"}),
     "camera": ({"ours", "PSNR", "path", "ceilings", "depth", "checked depth"}, set()),
     "geometry.splat": ({"ours", "PSNR", "depth"}, set()),
@@ -41,7 +50,11 @@ def codes() -> dict[str, object]:
     """Return the hashes of the code of every kind of result, by its name."""
     return {
         **{label: method_code(spec) for label, spec in METHODS.items()},
-        **{name: metric_code(metric) for name, metric in METRICS.items() if isinstance(metric, ViewMetric)},
+        **{
+            name: metric_code(metric)
+            for name, metric in METRICS.items()
+            if isinstance(metric, ViewMetric)
+        },
         "path": path_code(()),
         "ceilings": ceilings_code(ceiling_metrics()),
         "depth": DepthOptions().describe()["code"],

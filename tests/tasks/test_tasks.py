@@ -48,13 +48,18 @@ def wait_for(condition: Callable[[], Any], seconds: float = 60) -> Any:
 
 def number_job(root: Path, number: int) -> Task:
     return Task(
-        name=f"number {number}", folder=root / f"n{number}", inputs={"number": number}, make=partial(write_number, number)
+        name=f"number {number}",
+        folder=root / f"n{number}",
+        inputs={"number": number},
+        make=partial(write_number, number),
     )
 
 
 @pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_job_runs_once(workers, tmp_path):
-    """The second call finds every result and runs nothing, the record lies beside it; another identity replaces it."""
+    """The second call finds every result and runs nothing, the record lies beside it; another
+    identity replaces it.
+    """
     jobs = [number_job(tmp_path, number) for number in range(3)]
 
     first, second = run_tasks(jobs, workers, ""), run_tasks(jobs, workers, "")
@@ -73,11 +78,19 @@ def test_a_job_runs_once(workers, tmp_path):
 def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     """The others finish, the failed one leaves no folder, and one error lists what failed."""
     broken = [
-        Task(f"broken {i}", tmp_path / f"b{i}", inputs={"broken": i}, make=partial(fail, f"cam{i:02d} is gone")) for i in range(2)
+        Task(
+            f"broken {i}",
+            tmp_path / f"b{i}",
+            inputs={"broken": i},
+            make=partial(fail, f"cam{i:02d} is gone"),
+        )
+        for i in range(2)
     ]
 
     with refused(RenderError, "2 of 4", "cam00 is gone", "cam01 is gone"):
-        run_tasks([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
+        run_tasks(
+            [broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, ""
+        )
 
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
@@ -98,7 +111,9 @@ def test_a_bug_is_raised_when_the_others_are_done(workers, tmp_path):
 
 
 def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
-    """The reason lies beside the results; the same job forgets it when it is done, another job in its folder never had it."""
+    """The reason lies beside the results; the same job forgets it when it is done, another job in
+    its folder never had it.
+    """
     ledger = TaskList(tmp_path, "render")
     broken = Task("n", tmp_path / "n", inputs={"number": 1}, make=partial(fail, "cam00 is gone"))
     mended = Task("n", tmp_path / "n", inputs={"number": 1}, make=partial(write_number, 1))
@@ -116,7 +131,9 @@ def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
 
 
 def test_what_another_process_has_made_meanwhile_stays(tmp_path):
-    """Two processes do the same: the result of the first may be in use when the second is ready, and is not replaced."""
+    """Two processes do the same: the result of the first may be in use when the second is ready,
+    and is not replaced.
+    """
     task, made = number_job(tmp_path, 1), tmp_path / "n1" / "number.txt"
     inodes = []
 
@@ -133,7 +150,9 @@ def test_what_another_process_has_made_meanwhile_stays(tmp_path):
 
 
 def test_what_another_process_works_on_is_left_alone(tmp_path):
-    """A second run of the same job does not take away the half of one that is under way; the folder of a dead one goes."""
+    """A second run of the same job does not take away the half of one that is under way; the folder
+    of a dead one goes.
+    """
     job = number_job(tmp_path, 1)
     host = socket.gethostname().replace(".", "-")
     alive, dead = (tmp_path / f".n1.{host}.{pid}.tmp" for pid in (os.getppid(), 4194304000))
@@ -147,9 +166,12 @@ def test_what_another_process_works_on_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_workers_die_with_their_parent(tmp_path):
-    """After kill -9 of the main process its workers are gone within seconds, in the middle of a job or idle."""
+    """After kill -9 of the main process its workers are gone within seconds, in the middle of a job
+    or idle.
+    """
     script = (
-        "import os, sys, time; from pathlib import Path; from ggvs_eval.jobs.processes import worker_pool\n"
+        "import os, sys, time; from pathlib import Path; from ggvs_eval.jobs.processes import "
+        "worker_pool\n"
         "if __name__ == '__main__':\n"
         "    with worker_pool(2) as pool:\n"
         "        Path(sys.argv[1], 'pid').write_text(str(pool.submit(os.getpid).result()))\n"
@@ -172,10 +194,12 @@ def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
         "from ggvs_eval.tasks.run_tasks import run_tasks\n"
         "from ggvs_eval.tasks.task import Task\n"
         "def work(number, folder):\n"
-        "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else 0)\n"
+        "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else "
+        "0)\n"
         "    return {}\n"
         "root = Path(sys.argv[1])\n"
-        "run_tasks([Task('', root / f'n{n}', inputs={'number': n}, make=partial(work, n)) for n in range(3)], 1, '')\n"
+        "run_tasks([Task('', root / f'n{n}', inputs={'number': n}, make=partial(work, n)) for n in "
+        "range(3)], 1, '')\n"
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
     assert wait_for(lambda: list(tmp_path.glob(".n1.*.tmp")))

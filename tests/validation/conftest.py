@@ -1,4 +1,6 @@
-"""Validation on real input lies beside the package and not in the wheel: next to an installed wheel there is nothing to test."""
+"""Validation on real input lies beside the package and not in the wheel: next to an installed wheel
+there is nothing to test.
+"""
 
 import importlib.util
 

@@ -1,4 +1,6 @@
-"""The benchmark of the authors' clips, on small clips of its own: halves, means, resuming, and what is refused."""
+"""The benchmark of the authors' clips, on small clips of its own: halves, means, resuming, and what
+is refused.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ NAME = "dynerf_flame_steak_{}_vs_ours.mp4"
 
 
 def write_clip(path, flicker, frames=4):
-    """Grey halves below a row of labels: the left one flickers by some levels, the right one stands still."""
+    """Grey halves below a row of labels: the left one flickers by some levels, the right one stands
+    still.
+    """
     images = []
     for index in range(frames):
         image = np.full((LABEL_ROWS + 64, 128, 3), 100, np.uint8)
@@ -33,14 +37,16 @@ def folder(tmp_path):
 
 
 def test_each_half_has_its_own_values(folder, tmp_path, capsys):
-    """The flicker is the baseline's, the labels count for nobody, and what is measured is not measured again."""
+    """The flicker is the baseline's, the labels count for nobody, and what is measured is not
+    measured again.
+    """
     out = tmp_path / "out.json"
     main([str(folder), "--out", str(out)])
     clips = read_json(out)["clips"]
 
-    assert {name: (clip["dataset"], clip["sequence"], clip["n_frames"]) for name, clip in clips.items()} == dict.fromkeys(
-        (NAME.format("enerf"), NAME.format("gpsg")), ("dynerf", "flame_steak", 4)
-    )
+    assert {
+        name: (clip["dataset"], clip["sequence"], clip["n_frames"]) for name, clip in clips.items()
+    } == dict.fromkeys((NAME.format("enerf"), NAME.format("gpsg")), ("dynerf", "flame_steak", 4))
     for baseline, flicker in (("enerf", 10), ("gpsg", 20)):
         values = clips[NAME.format(baseline)]["values"]
         assert values[baseline]["mTV"] == pytest.approx(100 * flicker / 255, abs=0.5)
@@ -65,10 +71,15 @@ def test_wrong_input_is_one_line(folder, tmp_path):
 
     assert "wanted the folder of the authors' clips, there is none" in refusal(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    assert "wanted clips like dynerf_flame_steak_enerf_vs_ours.mp4, got 0 other files" in refusal(tmp_path / "empty")
+    assert "wanted clips like dynerf_flame_steak_enerf_vs_ours.mp4, got 0 other files" in refusal(
+        tmp_path / "empty"
+    )
     clip = find_clips(folder)[0].path
     write_clip(clip, 5, frames=2)
-    assert "wanted 3 frames or more of two equal halves and more than 80 rows, got 2 of 128 x 104" in refusal(folder)
+    assert (
+        "wanted 3 frames or more of two equal halves and more than 80 rows, got 2 of 128 x 104"
+        in refusal(folder)
+    )
     write_clip(clip, 5)
     clip.write_bytes(clip.read_bytes()[: clip.stat().st_size // 2])
     assert f"author_clips: {clip}: " in refusal(folder)

@@ -1,4 +1,6 @@
-"""`python -m benchmarks PART ...`: parts beside what was measured before, and a word that is none."""
+"""`python -m benchmarks PART ...`: parts beside what was measured before, and a word that
+is none.
+"""
 
 import numpy as np
 import pytest
@@ -10,16 +12,27 @@ from ggvs_eval.run_folder import read_json, write_json
 
 def figure(value):
     """One entry of the file."""
-    return {"value": value, "unit": "ms", "target": None, "higher_is_better": False, "command": "none"}
+    return {
+        "value": value,
+        "unit": "ms",
+        "target": None,
+        "higher_is_better": False,
+        "command": "none",
+    }
 
 
 def test_a_part_is_measured_beside_the_others(tmp_path, monkeypatch, capsys):
     """Its figures are written anew, those of other parts stay, nothing else is measured."""
     file = tmp_path / "bench.json"
     write_json(file, {"step": figure(2.0), "decode": figure(3.0)})
-    monkeypatch.setattr(bench, "PARTS", {"online": lambda: {"step": figure(1.0)}, "decoding": lambda: 1 / 0})
+    monkeypatch.setattr(
+        bench, "PARTS", {"online": lambda: {"step": figure(1.0)}, "decoding": lambda: 1 / 0}
+    )
     bench.main(["online", "--json", str(file)])
-    assert {name: each["value"] for name, each in read_json(file).items()} == {"step": 1.0, "decode": 3.0}
+    assert {name: each["value"] for name, each in read_json(file).items()} == {
+        "step": 1.0,
+        "decode": 3.0,
+    }
     assert capsys.readouterr().out == "step: 1 ms\n"
 
 
@@ -33,7 +46,9 @@ def test_a_part_that_is_none_is_told(capsys):
 
 
 def test_growth_is_an_exponent():
-    """Cameras and frames in small numbers: a positive time, and the slope between the two largest sizes."""
+    """Cameras and frames in small numbers: a positive time, and the slope between the two largest
+    sizes.
+    """
     figures = bench_growth.measure_cameras((6, 8)) | bench_growth.measure_series((20, 40))
     assert figures["growth.cameras.depth_maps"]["value"] >= 4
     for name, each in figures.items():

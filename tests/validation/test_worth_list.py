@@ -18,7 +18,9 @@ def test_a_fault_can_be_planted(fault, tmp_path):
     copy.write_bytes((ROOT / fault.file).read_bytes())
     fault.plant(tmp_path)
 
-    assert ast.dump(ast.parse(copy.read_text("utf-8"))) != ast.dump(ast.parse((ROOT / fault.file).read_text("utf-8")))
+    assert ast.dump(ast.parse(copy.read_text("utf-8"))) != ast.dump(
+        ast.parse((ROOT / fault.file).read_text("utf-8"))
+    )
     assert (ROOT / fault.nearest).exists()
 
 

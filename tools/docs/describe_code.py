@@ -1,7 +1,7 @@
 """Parts of the documentation that the code determines.
 
-``python tools/docs/describe_code.py`` writes the keys of docs/protocol.md, from the classes of a protocol. Rooms are a page
-of the site, made from docstrings while it is built (`site_pages`).
+``python tools/docs/describe_code.py`` writes the keys of docs/protocol.md, from the classes of a
+protocol. Rooms are a page of the site, made from docstrings while it is built (`site_pages`).
 """
 
 import ast
@@ -27,7 +27,8 @@ SECTIONS = {  # of a protocol's file, in the order in which a reader needs them
 INHERITED = {"measurement": metric_choices.MetricChoices}
 # Keys that hold a section of their own, or tables that the viewer writes and nobody types.
 LEFT_OUT = {"": set(SECTIONS) | {"stream"}, "path": {"cameras", "frame"}}
-NOT_SET = {"name": "the file's name", "dataset": "`name`", "depth_ms": "that of the run"}  # where the default is no value
+# where the default is no value
+NOT_SET = {"name": "the file's name", "dataset": "`name`", "depth_ms": "that of the run"}
 
 
 def main() -> None:
@@ -47,30 +48,41 @@ def rooms_table(root: Path) -> str:
     rows = ["| room | what it holds |", "| --- | --- |"]
     for folder in FOLDERS:
         for file in sorted((root / folder).rglob("__init__.py")):
-            about = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+            about = (
+                ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+            ).partition("\n")[0]
             rows.append(f"| `{file.parent.relative_to(root).as_posix()}/` | {about} |")
     return "\n".join(rows)
 
 
 def keys_table() -> str:
-    """Each key of a protocol with its default and meaning, as Markdown, by the docstrings of its classes."""
+    """Each key of a protocol with its default and meaning, as Markdown, by the docstrings of its
+    classes.
+    """
     rows = ["| key | default | meaning |", "| --- | --- | --- |"]
     for section, table in SECTIONS.items():
         meanings = _meanings(table) | _meanings(INHERITED.get(section, table))
         for each in dataclasses.fields(table):
             if each.name not in LEFT_OUT.get(section, set()):
                 key = f"{section}.{key_of(each.name)}" if section else each.name
-                rows.append(f"| `{key}` | {_default(each)} | {meanings[each.name]}{_choices(table, each.name)} |")
+                rows.append(
+                    f"| `{key}` | {_default(each)} | "
+                    f"{meanings[each.name]}{_choices(table, each.name)} |"
+                )
     return "\n".join(rows)
 
 
 def _meanings(table: type) -> dict[str, str]:
     """What the docstring of a class says of its attributes, without references to code."""
-    section = re.search(r"^ *Attributes:\n(.*)", table.__doc__ or "", flags=re.MULTILINE | re.DOTALL)
+    section = re.search(
+        r"^ *Attributes:\n(.*)", table.__doc__ or "", flags=re.MULTILINE | re.DOTALL
+    )
     meanings = {}
     for entry in re.split(r"\n(?= {8}\w+: )", "\n" + section[1] if section else ""):
         name, _, text = " ".join(entry.split()).partition(": ")
-        text = re.sub(r",? see `ggvs_eval[\w.]+`(?:\.\w+)?", "", text).replace("``", "`").rstrip(".")
+        text = (
+            re.sub(r",? see `ggvs_eval[\w.]+`(?:\.\w+)?", "", text).replace("``", "`").rstrip(".")
+        )
         meanings[name] = re.sub(r"`ggvs_eval\.pipelines\.run\.folds\.choose_folds`", "`run`", text)
     return meanings
 

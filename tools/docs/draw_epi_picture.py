@@ -1,4 +1,6 @@
-"""Draw a good EPI and bad ones with their numbers, docs/images/epi_good_bad.jpg: ``python tools/docs/draw_epi_picture.py``."""
+"""Draw a good EPI and bad ones with their numbers, docs/images/epi_good_bad.jpg: ``python
+tools/docs/draw_epi_picture.py``.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,7 +38,9 @@ SHOWN = {
 
 
 def main() -> None:
-    """A frame with the row that is cut out, then the EPI of each rendering with its title and numbers."""
+    """A frame with the row that is cut out, then the EPI of each rendering with its title and
+    numbers.
+    """
     truth = film_path()
     row = int(np.argmax(np.abs(np.diff(truth[24].image.astype(float), axis=1)).mean(axis=(1, 2))))
     renderings: dict[str, list[PathPose]] = {
@@ -61,7 +65,10 @@ def main() -> None:
 
 
 def film_path() -> list[PathPose]:
-    """The demo's true camera path with exact depth; each pose names its nearest cameras, as a method would use them."""
+    """The demo's true camera path with exact depth.
+
+    Each pose names its nearest cameras, as a method would use them.
+    """
     instant = lit_room(OPTIONS.seed).at(OPTIONS.path_frame / OPTIONS.fps)
     cameras = rig(OPTIONS.seed, OPTIONS.width, OPTIONS.height, OPTIONS.cameras_per_row)
     poses = []
@@ -69,23 +76,34 @@ def film_path() -> list[PathPose]:
         frame = next(Footage(OPTIONS, replace(shot, instants=(0,)), lambda _: instant).frames())
         near, far = np.percentile(frame.depth[frame.depth > 0], [1.0, 99.9])
         sources = [camera.name for camera in nearest_cameras(shot.camera, cameras, K_NEAREST)]
-        poses.append(PathPose(replace(shot.camera, near=near, far=far), frame.image, frame.depth, sources))
+        poses.append(
+            PathPose(replace(shot.camera, near=near, far=far), frame.image, frame.depth, sources)
+        )
     return poses
 
 
-def changed(poses: list[PathPose], change: Callable[[int, np.ndarray], np.ndarray]) -> list[PathPose]:
+def changed(
+    poses: list[PathPose], change: Callable[[int, np.ndarray], np.ndarray]
+) -> list[PathPose]:
     """The same poses with other images in [0, 1]."""
-    return [replace(pose, image=quantise(change(index, pose.image / 255.0))) for index, pose in enumerate(poses)]
+    return [
+        replace(pose, image=quantise(change(index, pose.image / 255.0)))
+        for index, pose in enumerate(poses)
+    ]
 
 
 def gain_of_sources(poses: list[PathPose]) -> Callable[[int, np.ndarray], np.ndarray]:
-    """Brightness that alternates with every change of the source cameras, as when their exposures differ."""
+    """Brightness that alternates with every change of the source cameras, as when their exposures
+    differ.
+    """
     level = np.concatenate([[0], np.cumsum(switch_steps([pose.sources for pose in poses]))])
     return lambda pose, image: image * (1 + GAIN * (-1) ** level[pose])
 
 
 def wobbling(poses: list[PathPose]) -> list[PathPose]:
-    """Every pose rendered from the first pose's image with a depth that is wrong by another factor."""
+    """Every pose rendered from the first pose's image with a depth that is wrong by another
+    factor.
+    """
     factors = 1 + WOBBLE * np.random.default_rng(0).uniform(-1, 1, len(poses))
     first, colours = poses[0], poses[0].image.astype(np.float32) / 255
 
@@ -93,7 +111,15 @@ def wobbling(poses: list[PathPose]) -> list[PathPose]:
         pose = poses[index]
         depth = np.asarray(pose.depth, np.float32) * np.float32(factors[index])
         first_depth = np.asarray(first.depth, np.float32)
-        warped = warp(pose.camera, depth, first.camera, colours, first_depth, 0.1 * float(np.median(depth)), bicubic=True)
+        warped = warp(
+            pose.camera,
+            depth,
+            first.camera,
+            colours,
+            first_depth,
+            0.1 * float(np.median(depth)),
+            bicubic=True,
+        )
         return np.where(warped.visibility[..., None] > 0.5, warped.colour, image)
 
     return changed(poses, render)
@@ -103,7 +129,9 @@ def frame_panel(image: np.ndarray, row: int) -> Image.Image:
     """The middle pose, with the row that the EPIs show."""
     frame = Image.fromarray(image)
     ImageDraw.Draw(frame).line([(0, row), (frame.width, row)], fill=(255, 230, 0), width=2)
-    frame = frame.crop((0, max(row - 70, 0), frame.width, max(row - 70, 0) + 140)).resize((WIDTH, WIDTH * 140 // frame.width))
+    frame = frame.crop((0, max(row - 70, 0), frame.width, max(row - 70, 0) + 140)).resize(
+        (WIDTH, WIDTH * 140 // frame.width)
+    )
     return titled("The row that is cut out of every pose, in the middle pose", "", frame)
 
 
@@ -111,16 +139,28 @@ def epi_panel(title: str, poses: list[PathPose], row: int) -> Image.Image:
     """The EPI of a rendering, poses from top to bottom, and its numbers."""
     scores = score_path(poses)
     values = {name: value for name, pose, value in scores.values if pose is None}
-    numbers = "   ".join(f"{label} {values[name]:.2f}" for label, name in SHOWN.items() if name in values)
-    print(title, {name: round(value, 3) for name, value in values.items()}, scores.n_switches, scores.not_computed)
+    numbers = "   ".join(
+        f"{label} {values[name]:.2f}" for label, name in SHOWN.items() if name in values
+    )
+    print(
+        title,
+        {name: round(value, 3) for name, value in values.items()},
+        scores.n_switches,
+        scores.not_computed,
+    )
     epi = Image.fromarray(np.stack([pose.image[row] for pose in poses]))
-    return titled(title, numbers, epi.resize((WIDTH, len(poses) * ROWS_PER_POSE), Image.Resampling.NEAREST))
+    return titled(
+        title, numbers, epi.resize((WIDTH, len(poses) * ROWS_PER_POSE), Image.Resampling.NEAREST)
+    )
 
 
 def titled(title: str, numbers: str, picture: Image.Image) -> Image.Image:
     """A picture under a title and a line of numbers."""
     bold, plain = (
-        ImageFont.truetype(font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans", weight=weight)), size)
+        ImageFont.truetype(
+            font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans", weight=weight)),
+            size,
+        )
         for weight, size in (("bold", 14), ("normal", 12))
     )
     top = TITLE_HEIGHT + (20 if numbers else 0)

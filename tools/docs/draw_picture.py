@@ -1,7 +1,9 @@
-"""Draw the README's moving picture from a scored run: ``python tools/docs/draw_picture.py [RUN]`` after `make reports`.
+"""Draw the README's moving picture from a scored run: ``python tools/docs/draw_picture.py [RUN]``
+after `make reports`.
 
-Each method beside the captured frames, as on the page: first the scene moves and the x-t slice of the marked row grows below each
-picture, then the camera moves along its path and the epipolar plane image of the row grows.
+Each method beside the captured frames, as on the page: first the scene moves and the x-t slice of
+the marked row grows below each picture, then the camera moves along its path and the epipolar plane
+image of the row grows.
 """
 
 import sys
@@ -40,23 +42,45 @@ def main(root: Path) -> None:
     frames = [*moving_scene(run), *moving_camera(run)]
     first, *others = (Image.fromarray(frame) for frame in frames)
     lasting = [
-        REST_MS if index in (len(frames) - 1, run.protocol().frames.count - 1) else FRAME_MS for index in range(len(frames))
+        REST_MS if index in (len(frames) - 1, run.protocol().frames.count - 1) else FRAME_MS
+        for index in range(len(frames))
     ]
     PICTURE.parent.mkdir(exist_ok=True)
-    first.save(PICTURE, save_all=True, append_images=others, duration=lasting, loop=0, quality=QUALITY, method=6)
-    print(f"{PICTURE}: {PICTURE.stat().st_size / 1e6:.2f} MB, {len(frames)} frames of {first.width} x {first.height}")
+    first.save(
+        PICTURE,
+        save_all=True,
+        append_images=others,
+        duration=lasting,
+        loop=0,
+        quality=QUALITY,
+        method=6,
+    )
+    print(
+        f"{PICTURE}: {PICTURE.stat().st_size / 1e6:.2f} MB, {len(frames)} frames of {first.width} "
+        f"x {first.height}"
+    )
 
 
 def moving_scene(run: RunFolder) -> Iterator[Image8]:
     """One test view over time, with the x-t slice of a row."""
     span = run.protocol().frames
     indices = range(span.start, span.start + span.count)
-    folders = {label: run.truth(VIEW) if label == "truth" else run.renders(label, VIEW) for label in METHODS}
+    folders = {
+        label: run.truth(VIEW) if label == "truth" else run.renders(label, VIEW)
+        for label in METHODS
+    }
     row = most_textured_row([read_image(frame_path(folders["truth"], indices[len(indices) // 2]))])
     slices = {label: stacked_rows(folder, indices, row) for label, folder in folders.items()}
     told = f"test view {VIEW} over time; below, row {row} of each frame, stacked (x-t slice)"
     for shown, index in enumerate(indices, start=1):
-        yield drawn(run, told, row, shown / len(indices), lambda label, index=index: frame_path(folders[label], index), slices)
+        yield drawn(
+            run,
+            told,
+            row,
+            shown / len(indices),
+            lambda label, index=index: frame_path(folders[label], index),
+            slices,
+        )
 
 
 def moving_camera(run: RunFolder) -> Iterator[Image8]:
@@ -66,10 +90,24 @@ def moving_camera(run: RunFolder) -> Iterator[Image8]:
     told = f"along a camera path; below, row {row} of each pose, stacked (epipolar plane image)"
     for pose in range(0, POSES, POSE_STEP):
         shown = (pose + POSE_STEP) / POSES
-        yield drawn(run, told, row, shown, lambda label, pose=pose: frame_path(run.path(label), pose), slices)
+        yield drawn(
+            run,
+            told,
+            row,
+            shown,
+            lambda label, pose=pose: frame_path(run.path(label), pose),
+            slices,
+        )
 
 
-def drawn(run: RunFolder, told: str, row: int, shown: float, file_of: Callable[[str], Path], slices: dict[str, Image8]) -> Image8:
+def drawn(
+    run: RunFolder,
+    told: str,
+    row: int,
+    shown: float,
+    file_of: Callable[[str], Path],
+    slices: dict[str, Image8],
+) -> Image8:
     """One picture of the animation: a column per method.
 
     Args:
@@ -81,7 +119,11 @@ def drawn(run: RunFolder, told: str, row: int, shown: float, file_of: Callable[[
         slices: of each method, (T, W, 3).
     """
     psnr_db = Results.read(run.root).summary().droplevel("dataset")["PSNR"]
-    canvas = Image.new("RGB", (len(METHODS) * (WIDTH + GAP) - GAP, TITLE + HEIGHT + GAP + SLICE_HEIGHT + CAPTION), PAPER)
+    canvas = Image.new(
+        "RGB",
+        (len(METHODS) * (WIDTH + GAP) - GAP, TITLE + HEIGHT + GAP + SLICE_HEIGHT + CAPTION),
+        PAPER,
+    )
     draw = ImageDraw.Draw(canvas)
     font = ImageFont.truetype(FONT, 12)
     for column, (label, title) in enumerate(METHODS.items()):

@@ -1,6 +1,8 @@
-"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python tools/docs/draw_real_video.py [RUN]``.
+"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python
+tools/docs/draw_real_video.py [RUN]``.
 
-Strips of all test views, failures among them, and a row over time. The command of the run stands in docs/results.md.
+Strips of all test views, failures among them, and a row over time. The command of the run stands in
+docs/results.md.
 """
 
 import sys
@@ -51,7 +53,9 @@ def _strips(run: RunFolder) -> Image.Image:
         draw.text((left + 2, 2), title, INK, font)
         for row, view in enumerate(views):
             folder = run.truth(view) if label == "truth" else run.renders(label, view)
-            picture = Image.open(frame_path(folder, frame)).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
+            picture = Image.open(frame_path(folder, frame)).resize(
+                (WIDTH, HEIGHT), Image.Resampling.LANCZOS
+            )
             canvas.paste(picture, (left, TITLE + row * (HEIGHT + GAP)))
     return canvas
 

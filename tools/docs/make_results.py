@@ -1,7 +1,8 @@
-"""Measure what is older than the code, and write its tables: ``make results`` (``ONLY=name,name``, ``PLAN=1``, ``DATA=folder``).
+"""Measure what is older than the code, and write its tables: ``make results`` (``ONLY=name,name``,
+``PLAN=1``, ``DATA=folder``).
 
-What is killed goes on where it was; what is done is not done again. Each measurement has a log in out/results/, and progress.log
-there says when which began and ended.
+What is killed goes on where it was; what is done is not done again. Each measurement has a log in
+out/results/, and progress.log there says when which began and ended.
 """
 
 import argparse
@@ -26,7 +27,9 @@ def main() -> int:
     """Print the plan, then carry it out; ends with 1 where something failed."""
     arguments = _arguments()
     chosen = [MEASUREMENTS[name] for name in arguments.only] or list(MEASUREMENTS.values())
-    stale = [each for each in in_order(chosen) if state(each, arguments.data) in ("stale", "never made")]
+    stale = [
+        each for each in in_order(chosen) if state(each, arguments.data) in ("stale", "never made")
+    ]
     print(plan_table(in_order(chosen), arguments.data))
     print(f"\n{len(stale)} to make, some {sum(each.minutes for each in stale)} minutes")
     if arguments.plan:
@@ -34,15 +37,26 @@ def main() -> int:
     RECORDS.mkdir(parents=True, exist_ok=True)
     failed = [each.name for each in stale if not make(each, arguments.data, arguments.weights)]
     if failed:
-        print(f"failed: {', '.join(failed)}; their logs are in {RECORDS}, run this again to resume", file=sys.stderr)
+        print(
+            f"failed: {', '.join(failed)}; their logs are in {RECORDS}, run this again to resume",
+            file=sys.stderr,
+        )
     return int(bool(failed))
 
 
 def in_order(measurements: Sequence[Measurement]) -> list[Measurement]:
-    """Those whose table in a page is older than the code first, the cheapest first; what others read stays before them."""
+    """Those whose table in a page is older than the code first, the cheapest first.
+
+    What others read stays before them.
+    """
     older = {table.measurement for table in fill_tables.older_tables()}
     return sorted(
-        measurements, key=lambda each: (each.name not in ("demo", "refined_capture"), each.name not in older, each.minutes)
+        measurements,
+        key=lambda each: (
+            each.name not in ("demo", "refined_capture"),
+            each.name not in older,
+            each.minutes,
+        ),
     )
 
 
@@ -68,21 +82,37 @@ def plan_table(measurements: Sequence[Measurement], data: Path) -> str:
 
 
 def make(measurement: Measurement, data: Path, weights: Path) -> bool:
-    """Carry out the commands of one measurement, note which code they ran, fill its tables; False where one failed."""
+    """Carry out the commands of one measurement, note which code they ran, fill its tables.
+
+    False where one failed.
+    """
     begun, identity = time.monotonic(), measurement.identity
     _note(f"{measurement.name}: begins, some {measurement.minutes} minutes")
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"}
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+    }
     with (RECORDS / f"{measurement.name}.log").open("a", encoding="utf-8") as log:
         for command in measurement.commands:
-            words = _without_missing_weights(shlex.split(command.format(data=data, weights=weights)))
+            words = _without_missing_weights(
+                shlex.split(command.format(data=data, weights=weights))
+            )
             log.write(f"$ {shlex.join(words)}\n")
             log.flush()
-            ended = subprocess.run(words, cwd=ROOT, env=environment, stdout=log, stderr=log, check=False).returncode
+            ended = subprocess.run(
+                words, cwd=ROOT, env=environment, stdout=log, stderr=log, check=False
+            ).returncode
             if ended != 0:
                 _note(f"{measurement.name}: failed with {ended}: {shlex.join(words)}")
                 return False
     minutes = (time.monotonic() - begun) / 60
-    write_json(measurement.record, {"identity": identity, "minutes": round(minutes, 1), "commands": list(measurement.commands)})
+    write_json(
+        measurement.record,
+        {
+            "identity": identity,
+            "minutes": round(minutes, 1),
+            "commands": list(measurement.commands),
+        },
+    )
     fill_tables.fill(measurement.name)
     _note(f"{measurement.name}: done in {minutes:.0f} minutes")
     return True
@@ -94,7 +124,11 @@ def _without_missing_weights(words: list[str]) -> list[str]:
         return words
     at = words.index("--weights")
     name, _, file = words[at + 1].partition("=")
-    return words if Path(file).is_file() else [word for word in (*words[:at], *words[at + 2 :]) if word != name]
+    return (
+        words
+        if Path(file).is_file()
+        else [word for word in (*words[:at], *words[at + 2 :]) if word != name]
+    )
 
 
 def _note(line: str) -> None:
@@ -105,16 +139,29 @@ def _note(line: str) -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--only", default=[], type=lambda text: text.split(","), help="names of measurements, with commas between"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--plan", action="store_true", help="print what would be made, and what it takes")
-    parser.add_argument("--data", type=Path, default=INPUTS / "data", help="folder with the real captures")
-    parser.add_argument("--weights", type=Path, default=INPUTS / "weights", help="folder with published checkpoints")
+    parser.add_argument(
+        "--only",
+        default=[],
+        type=lambda text: text.split(","),
+        help="names of measurements, with commas between",
+    )
+    parser.add_argument(
+        "--plan", action="store_true", help="print what would be made, and what it takes"
+    )
+    parser.add_argument(
+        "--data", type=Path, default=INPUTS / "data", help="folder with the real captures"
+    )
+    parser.add_argument(
+        "--weights", type=Path, default=INPUTS / "weights", help="folder with published checkpoints"
+    )
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.only if name not in MEASUREMENTS]:
-        parser.error(f"unknown measurements {', '.join(unknown)}; there are {', '.join(MEASUREMENTS)}")
+        parser.error(
+            f"unknown measurements {', '.join(unknown)}; there are {', '.join(MEASUREMENTS)}"
+        )
     return arguments
 
 

@@ -1,7 +1,9 @@
-"""What measures each table of the pages: commands, their cost, and the identity of the code that a table comes from.
+"""What measures each table of the pages: commands, their cost, and the identity of the code that a
+table comes from.
 
-A table comes from what its commands run and from what makes its text of their results: methods and metrics, the depth that a
-command's matcher finds, the film of a room, statistics and tables. `Measurement.modules` names modules in the rooms of the rest.
+A table comes from what its commands run and from what makes its text of their results: methods and
+metrics, the depth that a command's matcher finds, the film of a room, statistics and tables.
+`Measurement.modules` names modules in the rooms of the rest.
 """
 
 import ast
@@ -34,9 +36,17 @@ SHORT = 12  # digits of an identity that a page shows
 FLAME_STEAK, HOLOLENS, DOME = "n3v_flame_steak", "hololens_rgbd", "panoptic_basketball"
 VIDEO_PROTOCOL = "benchmarks/real_video.toml"
 DEMO_CAPTURE = "out/demo-capture"
-UNPACK_DEMO = f"ggvs-eval demo {DEMO_CAPTURE}"  # as the main job makes it, which may have been there first
+# as the main job makes it, which may have been there first
+UNPACK_DEMO = f"ggvs-eval demo {DEMO_CAPTURE}"
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
-ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
+ON_A_VIDEO = (
+    "no-blending",
+    "distance-based",
+    "enerf",
+    "ours",
+    "ours-geometric",
+    "ours+no-temporal",
+)
 ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
 FILLED = ("ours", "ours-geometric")
@@ -52,12 +62,25 @@ CAPTURES = {
 MEANS = ("ggvs_eval.results", "ggvs_eval.statistics")
 EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.capture_edit"
 STREAMED = ("ggvs_eval.pipelines.run.screens", "ggvs_eval.metrics.time.on_screen")
-REPORTED = {"drift": "timing", "price": "costs", "costs": "costs", "seeds": "costs"}  # tables of a report, by their modules
+# tables of a report, by their modules
+REPORTED = {"drift": "timing", "price": "costs", "costs": "costs", "seeds": "costs"}
 PLAIN = "report_tables"  # ... and of all others
 MANY_CAMERAS = 100  # more than any K of a sweep wants
-ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
+ON_A_REAL_FRAME = (
+    "no-blending",
+    "distance-based",
+    "interpolation",
+    "fwd",
+    "gps-gaussian+given-depth",
+    "ibrnet",
+    "enerf",
+    "ours",
+)
 ON_AN_INSTANT = ("no-blending", "distance-based", "ibrnet", "enerf", "mvsnerf", "ours")
-LLFF_SCENES, ON_LLFF = ("fern", "flower"), ("distance-based", "enerf", "mvsnerf", "ours-geometric", "ours")
+LLFF_SCENES, ON_LLFF = (
+    ("fern", "flower"),
+    ("distance-based", "enerf", "mvsnerf", "ours-geometric", "ours"),
+)
 ON_SPARSE = ("no-blending", "distance-based", "enerf", "fwd", "ours-geometric", "ours")
 SPARSE_RUNS = {  # folder below out/sparse -> capture and protocol
     f"{scene}{n_sources}": (capture, protocol.format(n_sources))
@@ -76,13 +99,15 @@ class Measurement:
 
     Attributes:
         name: for `make results ONLY=name`.
-        commands: run one after the other from the root of the checkout; ``{data}`` and ``{weights}`` are the folders of the
-            inputs that do not ship. Each goes on where it was killed.
+        commands: run one after the other from the root of the checkout; ``{data}`` and
+            ``{weights}`` are the folders of the inputs that do not ship. Each goes on where it was
+            killed.
         minutes: what they take on two cores that share them with little else.
         methods: labels that are rendered.
         protocol: under which, if any.
         sweep: packaged, whose rows are rendered.
-        sources: other files of the checkout whose code is measured, with what they import of the package.
+        sources: other files of the checkout whose code is measured, with what they import of the
+            package.
         captures: folders in ``{data}`` without which it cannot be made.
     """
 
@@ -97,13 +122,19 @@ class Measurement:
 
     @cached_property
     def identity(self) -> str:
-        """Digest of the code, weights and settings that the numbers follow from, as they are now."""
+        """Digest of the code, weights and settings that the numbers follow from, as they
+        are now.
+        """
         return digest_values(
             *self.commands,
             *_of_methods(self.labels),
             *(part for protocol in self.protocols for part in _of_protocol(protocol)),
             *map(_of_source, self.sources),
-            *(digest for file, digest in CHECKPOINTS.items() if any(file in command for command in self.commands)),
+            *(
+                digest
+                for file, digest in CHECKPOINTS.items()
+                if any(file in command for command in self.commands)
+            ),
             code_of(*self.modules),
             *(digest for _, digest in self._table_functions),
         )
@@ -111,7 +142,11 @@ class Measurement:
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the methods, or of the rows of its sweep."""
-        return self.methods or tuple(row.method for row in load_sweep(self.sweep).row) if self.sweep else self.methods
+        return (
+            self.methods or tuple(row.method for row in load_sweep(self.sweep).row)
+            if self.sweep
+            else self.methods
+        )
 
     @cached_property
     def protocols(self) -> tuple[Protocol, ...]:
@@ -119,7 +154,11 @@ class Measurement:
         if not self.protocol:
             return ()
         protocol = load_protocol(self.protocol)
-        return tuple(load_sweep(self.sweep).protocols(protocol, MANY_CAMERAS).values()) if self.sweep else (protocol,)
+        return (
+            tuple(load_sweep(self.sweep).protocols(protocol, MANY_CAMERAS).values())
+            if self.sweep
+            else (protocol,)
+        )
 
     @cached_property
     def modules(self) -> tuple[str, ...]:
@@ -129,7 +168,9 @@ class Measurement:
             if program == "ggvs-eval":
                 modules.update(CAPTURES.get(verb, ()))
                 modules |= {*MEANS, *_of_depth(words)} if verb in ("run", "sweep") else set()
-                modules |= {EDITED} if verb == "run" and any(word in EDITS for word in words) else set()
+                modules |= (
+                    {EDITED} if verb == "run" and any(word in EDITS for word in words) else set()
+                )
         if any(protocol.stream for protocol in self.protocols):
             modules.update(STREAMED)
         return tuple(sorted(modules - {"ggvs_eval.errors"}))
@@ -159,34 +200,74 @@ class Measurement:
         return [name for name in self.captures if not (data / name).is_dir()]
 
 
-def _run(name: str, capture: str, methods: tuple[str, ...], minutes: int, protocol: str = "", more: str = "") -> Measurement:
-    """The evaluation of one capture under a protocol, by default one of the measurement's own name."""
+def _run(
+    name: str,
+    capture: str,
+    methods: tuple[str, ...],
+    minutes: int,
+    protocol: str = "",
+    more: str = "",
+) -> Measurement:
+    """The evaluation of one capture under a protocol, by default one of the measurement's
+    own name.
+    """
     protocol = protocol or name
-    command = f"ggvs-eval run out/{name} --capture {capture} --protocol {protocol} --methods {' '.join(methods)} {more}"
+    command = (
+        f"ggvs-eval run out/{name} --capture {capture} --protocol {protocol} --methods "
+        f"{' '.join(methods)} {more}"
+    )
     captures = (FLAME_STEAK,) if FLAME_STEAK in capture or "refined" in capture else ()
     return Measurement(name, (command.strip(),), minutes, methods, protocol, captures=captures)
 
 
-def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, protocol: str) -> Measurement:
+def _sweep(
+    name: str, sweep: str, captures: tuple[str, ...], minutes: int, protocol: str
+) -> Measurement:
     """A packaged sweep; rooms are filmed first where they are not there."""
-    films = [f"ggvs-eval film {room} --seed {room[-1]} --n-frames 30" for room in captures if room in ROOMS]
+    films = [
+        f"ggvs-eval film {room} --seed {room[-1]} --n-frames 30"
+        for room in captures
+        if room in ROOMS
+    ]
     films += [UNPACK_DEMO] * (DEMO_CAPTURE in captures)
-    command = f"ggvs-eval sweep {sweep} out/{name} --capture {' '.join(captures)} --protocol {protocol}"
+    command = (
+        f"ggvs-eval sweep {sweep} out/{name} --capture {' '.join(captures)} --protocol {protocol}"
+    )
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
 
 
-def _of_dome(name: str, methods: tuple[str, ...], minutes: int, protocol: str = "", more: str = "") -> Measurement:
-    """The real video under ``benchmarks/PROTOCOL.toml``, by default one of the measurement's own name."""
+def _of_dome(
+    name: str, methods: tuple[str, ...], minutes: int, protocol: str = "", more: str = ""
+) -> Measurement:
+    """The real video under ``benchmarks/PROTOCOL.toml``, by default one of the measurement's own
+    name.
+    """
     file = f"benchmarks/{protocol or name}.toml"
-    command = f"ggvs-eval run out/{name} --capture {{data}}/{DOME} --protocol {file} --methods {' '.join(methods)} {more}"
-    return Measurement(name, (command.strip(),), minutes, methods, str(ROOT / file), captures=(DOME,))
+    command = (
+        f"ggvs-eval run out/{name} --capture {{data}}/{DOME} --protocol {file} --methods "
+        f"{' '.join(methods)} {more}"
+    )
+    return Measurement(
+        name, (command.strip(),), minutes, methods, str(ROOT / file), captures=(DOME,)
+    )
 
 
-def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
+def _stream(
+    name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()
+) -> Measurement:
     """The sweep of what is on the screen, one job at a time, as its seconds count."""
     film = (UNPACK_DEMO,) * (capture == DEMO_CAPTURE)
-    command = f"ggvs-eval sweep stream out/{name} --capture {capture} --protocol {protocol} --jobs 1"
-    return Measurement(name, (*film, command), minutes, protocol=str(ROOT / protocol), sweep="stream", captures=captures)
+    command = (
+        f"ggvs-eval sweep stream out/{name} --capture {capture} --protocol {protocol} --jobs 1"
+    )
+    return Measurement(
+        name,
+        (*film, command),
+        minutes,
+        protocol=str(ROOT / protocol),
+        sweep="stream",
+        captures=captures,
+    )
 
 
 _NOISE = ("ours+no-temporal", "ours")
@@ -196,16 +277,24 @@ MEASUREMENTS = {
     for each in (
         Measurement("demo", ("ggvs-eval run out/demo",), 15, (*usual_methods(), "fwd"), "demo"),
         _run("real_frame", _STEAK, (*ON_A_REAL_FRAME, "ours-geometric"), 75),
-        _run("real_frame_small", _STEAK, ON_A_SMALL_FRAME, 35, more="--weights mvsnerf={weights}/mvsnerf-v0.tar"),
+        _run(
+            "real_frame_small",
+            _STEAK,
+            ON_A_SMALL_FRAME,
+            35,
+            more="--weights mvsnerf={weights}/mvsnerf-v0.tar",
+        ),
         Measurement(
             "llff",
             (
                 *(
-                    f"ggvs-eval run out/llff/{scene} --capture {{data}}/llff/{scene} --protocol llff_3view_{scene} --methods "
-                    f"{' '.join(ON_LLFF)} --weights mvsnerf={{weights}}/{MVSNERF_FILE}"
+                    f"ggvs-eval run out/llff/{scene} --capture {{data}}/llff/{scene} --protocol "
+                    f"llff_3view_{scene} --methods {' '.join(ON_LLFF)} --weights "
+                    f"mvsnerf={{weights}}/{MVSNERF_FILE}"
                     for scene in LLFF_SCENES
                 ),
-                f"python -m benchmarks.llff {' '.join(f'out/llff/{scene}' for scene in LLFF_SCENES)}",
+                "python -m benchmarks.llff "
+                f"{' '.join(f'out/llff/{scene}' for scene in LLFF_SCENES)}",
             ),
             130,
             ON_LLFF,
@@ -217,11 +306,12 @@ MEASUREMENTS = {
             "sparse",
             (
                 *(
-                    f"ggvs-eval run out/sparse/{run} --capture {{data}}/{capture} --protocol {protocol} --methods "
-                    f"{' '.join(ON_SPARSE)}"
+                    f"ggvs-eval run out/sparse/{run} --capture {{data}}/{capture} --protocol "
+                    f"{protocol} --methods {' '.join(ON_SPARSE)}"
                     for run, (capture, protocol) in SPARSE_RUNS.items()
                 ),
-                f"python -m benchmarks.sparse {' '.join(f'out/sparse/{run}' for run in SPARSE_RUNS)}",
+                "python -m benchmarks.sparse "
+                f"{' '.join(f'out/sparse/{run}' for run in SPARSE_RUNS)}",
             ),
             30,
             ON_SPARSE,
@@ -233,16 +323,28 @@ MEASUREMENTS = {
             "demo_instant",
             (
                 UNPACK_DEMO,
-                f"ggvs-eval run out/demo_instant --capture {DEMO_CAPTURE} --protocol benchmarks/demo_instant.toml --methods "
-                f"{' '.join(ON_AN_INSTANT)} --weights mvsnerf={{weights}}/mvsnerf-v0.tar",
+                f"ggvs-eval run out/demo_instant --capture {DEMO_CAPTURE} --protocol "
+                f"benchmarks/demo_instant.toml --methods {' '.join(ON_AN_INSTANT)} --weights "
+                "mvsnerf={weights}/mvsnerf-v0.tar",
             ),
             12,
             ON_AN_INSTANT,
             str(ROOT / "benchmarks/demo_instant.toml"),
         ),
-        _run("real_frame_coverage", _STEAK, ("no-blending", "distance-based", "ours", "ours-geometric"), 12),
+        _run(
+            "real_frame_coverage",
+            _STEAK,
+            ("no-blending", "distance-based", "ours", "ours-geometric"),
+            12,
+        ),
         _run("real_frame_folds", _STEAK, FITTED, 45, "real_frame"),
-        _run("real_frame_held", _STEAK, usual_methods()[:5], 60, more="--hold-frames 16 --sensor-noise 1.5"),
+        _run(
+            "real_frame_held",
+            _STEAK,
+            usual_methods()[:5],
+            60,
+            more="--hold-frames 16 --sensor-noise 1.5",
+        ),
         Measurement(
             "refined_capture",
             (f"ggvs-eval calibrate {_STEAK} out/refined --known-poses {_STEAK} --refine",),
@@ -250,7 +352,13 @@ MEASUREMENTS = {
             sources=("pipelines/offline/calibration/calibrate.py",),
             captures=(FLAME_STEAK,),
         ),
-        _run("real_frame_refined", "out/refined", ("ours", "ours-geometric", "distance-based", "no-blending"), 12, "real_frame"),
+        _run(
+            "real_frame_refined",
+            "out/refined",
+            ("ours", "ours-geometric", "distance-based", "no-blending"),
+            12,
+            "real_frame",
+        ),
         _run(
             "real_frame_refined_coverage",
             "out/refined",
@@ -279,16 +387,36 @@ MEASUREMENTS = {
             ("ours-geometric",),
             sources=("benchmarks/refinement_validation.py",),
         ),
-        Measurement("additions", ("python -m benchmarks.additions",), 40, ("ours",), sources=("benchmarks/additions.py",)),
+        Measurement(
+            "additions",
+            ("python -m benchmarks.additions",),
+            40,
+            ("ours",),
+            sources=("benchmarks/additions.py",),
+        ),
         Measurement(
             "depth",
-            ("python -m benchmarks.depth_validation --data {data} --matchers sgbm,sweep,raft", "python -m benchmarks depth"),
+            (
+                "python -m benchmarks.depth_validation --data {data} --matchers sgbm,sweep,raft",
+                "python -m benchmarks depth",
+            ),
             25,
-            sources=("benchmarks/depth_validation/evaluate_matcher.py", "benchmarks/bench_depth.py"),
+            sources=(
+                "benchmarks/depth_validation/evaluate_matcher.py",
+                "benchmarks/bench_depth.py",
+            ),
             captures=(FLAME_STEAK,),
         ),
-        Measurement("speed", ("python -m benchmarks online",), 3, ("ours",), sources=("benchmarks/bench_online.py",)),
-        Measurement("bench", ("python -m benchmarks",), 25, ("ours",), sources=("benchmarks/__main__.py",)),
+        Measurement(
+            "speed",
+            ("python -m benchmarks online",),
+            3,
+            ("ours",),
+            sources=("benchmarks/bench_online.py",),
+        ),
+        Measurement(
+            "bench", ("python -m benchmarks",), 25, ("ours",), sources=("benchmarks/__main__.py",)
+        ),
         _sweep("rooms_ablations", "ablations_short", ROOMS, 60, "rooms"),
         _sweep("rooms_switches", "switches", ROOMS, 25, "rooms_short"),
         _sweep("rooms_k", "k", ROOMS, 30, "rooms_short"),
@@ -300,10 +428,10 @@ MEASUREMENTS = {
         Measurement(
             "long_room",
             (
-                "ggvs-eval film out/long-room --seed 101 --width 320 --height 240 --n-frames 300 --cameras-per-row 3 "
-                "--supersampling 1 --path-poses 0 --depth-stride 0",
-                "ggvs-eval run out/long --capture out/long-room --protocol benchmarks/long_room.toml --matcher live "
-                f"--methods {' '.join(ON_A_LONG_VIDEO)}",
+                "ggvs-eval film out/long-room --seed 101 --width 320 --height 240 --n-frames 300 "
+                "--cameras-per-row 3 --supersampling 1 --path-poses 0 --depth-stride 0",
+                "ggvs-eval run out/long --capture out/long-room --protocol "
+                f"benchmarks/long_room.toml --matcher live --methods {' '.join(ON_A_LONG_VIDEO)}",
             ),
             25,
             ON_A_LONG_VIDEO,
@@ -313,15 +441,20 @@ MEASUREMENTS = {
         Measurement(
             "offline_unseen",
             (
-                "ggvs-eval film out/unseen-capture --seed 2 --rig grid --width 320 --height 240 --n-frames 12 --path-poses 24",
-                "ggvs-eval sweep offline out/offline_unseen --capture out/unseen-capture --protocol offline",
+                "ggvs-eval film out/unseen-capture --seed 2 --rig grid --width 320 --height 240 "
+                "--n-frames 12 --path-poses 24",
+                "ggvs-eval sweep offline out/offline_unseen --capture out/unseen-capture "
+                "--protocol offline",
             ),
             300,
             protocol="offline",
             sweep="offline",
         ),
         Measurement(
-            "colmap_controls", ("python -m benchmarks.colmap_controls out/demo",), 15, sources=("benchmarks/colmap_controls.py",)
+            "colmap_controls",
+            ("python -m benchmarks.colmap_controls out/demo",),
+            15,
+            sources=("benchmarks/colmap_controls.py",),
         ),
         Measurement(
             "metric_study",
@@ -331,7 +464,10 @@ MEASUREMENTS = {
         ),
         Measurement(
             "metric_study_real",
-            (f"ggvs-eval metric-study out/metric_study_real --capture {{data}}/{HOLOLENS} --metrics all",),
+            (
+                f"ggvs-eval metric-study out/metric_study_real --capture {{data}}/{HOLOLENS} "
+                f"--metrics all",
+            ),
             30,
             sources=("contrib/study/measure.py",),
             captures=(HOLOLENS,),
@@ -342,30 +478,44 @@ MEASUREMENTS = {
             30,
             sources=("benchmarks/ceiling_accuracy.py",),
         ),
-        Measurement("intervals", ("python -m benchmarks.interval_coverage",), 20, sources=("benchmarks/interval_coverage.py",)),
-        Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device_step.py",)),  # by hand, where there is a GPU
+        Measurement(
+            "intervals",
+            ("python -m benchmarks.interval_coverage",),
+            20,
+            sources=("benchmarks/interval_coverage.py",),
+        ),
+        # by hand, where there is a GPU
+        Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device_step.py",)),
         Measurement(
             "real_video",
             (
-                f"ggvs-eval run out/real_video/dome --capture {{data}}/{DOME} --protocol {VIDEO_PROTOCOL} "
-                f"--methods {' '.join(ON_A_VIDEO)}",
+                f"ggvs-eval run out/real_video/dome --capture {{data}}/{DOME} --protocol "
+                f"{VIDEO_PROTOCOL} --methods {' '.join(ON_A_VIDEO)}",
             ),
             30,
             ON_A_VIDEO,
             str(ROOT / VIDEO_PROTOCOL),
             captures=(DOME,),
         ),
-        _of_dome("real_video_itermvs", FILLED, 75, "real_video", f"--matcher sgbm+itermvs:{{weights}}/{ITERMVS_FILE}"),
-        Measurement("author_clips", (), 40, sources=("benchmarks/author_clips.py",)),  # of a folder of clips that nobody ships
+        _of_dome(
+            "real_video_itermvs",
+            FILLED,
+            75,
+            "real_video",
+            f"--matcher sgbm+itermvs:{{weights}}/{ITERMVS_FILE}",
+        ),
+        # of a folder of clips that nobody ships
+        Measurement("author_clips", (), 40, sources=("benchmarks/author_clips.py",)),
         Measurement(
             "rooms_noise",
             tuple(
                 line
                 for seed in range(3)
                 for line in (
-                    f"ggvs-eval film out/noisy/{seed} --seed {seed} --n-frames 30 --sensor-noise 1.5",
-                    f"ggvs-eval run out/rooms_noise/{seed} --capture out/noisy/{seed} --protocol rooms --methods "
-                    + " ".join(_NOISE),
+                    f"ggvs-eval film out/noisy/{seed} --seed {seed} --n-frames 30 --sensor-noise "
+                    f"1.5",
+                    f"ggvs-eval run out/rooms_noise/{seed} --capture out/noisy/{seed} --protocol "
+                    f"rooms --methods " + " ".join(_NOISE),
                 )
             ),
             40,
@@ -377,7 +527,10 @@ MEASUREMENTS = {
 
 
 def _of_methods(labels: tuple[str, ...]) -> Iterator[str]:
-    """Label, code and weights of each method; a file of weights that does not ship counts by its label."""
+    """Label, code and weights of each method.
+
+    A file of weights that does not ship counts by its label.
+    """
     for label in labels:
         spec = find_method(label)
         weights = spec.weights if isinstance(spec, OnlineMethod) else ()
@@ -389,21 +542,33 @@ def _of_protocol(protocol: Protocol) -> tuple[str, ...]:
     """Views, frames and metrics, and the code that measures these."""
     names = protocol.measurement.metrics
     codes = [metric_code(METRICS[metric]) for metric in names if METRICS[metric].kind != "path"]
-    along_path = [metric for metric in names if METRICS[metric].kind == "path"] if protocol.path.poses else []
+    along_path = (
+        [metric for metric in names if METRICS[metric].kind == "path"]
+        if protocol.path.poses
+        else []
+    )
     codes += [path_code(along_path)] if along_path else []
     return protocol.sha256, *codes
 
 
 def _of_depth(words: Sequence[str]) -> set[str]:
-    """Modules of the depth that a command's matcher finds, and of how it is held against that of others."""
-    name, _, filler = (words[words.index("--matcher") + 1] if "--matcher" in words else "").partition("+")
+    """Modules of the depth that a command's matcher finds, and of how it is held against that of
+    others.
+    """
+    name, _, filler = (
+        words[words.index("--matcher") + 1] if "--matcher" in words else ""
+    ).partition("+")
     found = DepthRunOptions(name).options() if name else DepthRunOptions().options()
-    modules = camera_depth.modules_of(found.matcher, IterMvs(Path(), "") if filler.startswith("itermvs") else found.filler)
+    modules = camera_depth.modules_of(
+        found.matcher, IterMvs(Path(), "") if filler.startswith("itermvs") else found.filler
+    )
     return {camera_depth.__name__, consistency.FUSION, *modules}
 
 
 def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> None:
-    """Collect the functions of the checkout that one calls, itself included: their modules of the package, and a digest."""
+    """Collect the functions of the checkout that one calls, itself included: their modules of the
+    package, and a digest.
+    """
     name = f"{make.__module__}.{make.__qualname__} {make.__code__.co_firstlineno}"
     if name in functions:
         return
@@ -418,7 +583,9 @@ def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> N
         elif isinstance(value, FunctionType) and (Path(__file__).parent / f"{module}.py").is_file():
             _gather(value, functions)
             if word == "report_table":
-                modules |= {f"ggvs_eval.reports.tables.{REPORTED.get(table, PLAIN)}" for table in constants}
+                modules |= {
+                    f"ggvs_eval.reports.tables.{REPORTED.get(table, PLAIN)}" for table in constants
+                }
         elif isinstance(value, str | tuple | dict) and "Path" not in repr(value):
             values.append(f"{word} {value!r}")
     if make.__name__ != "<lambda>":
@@ -427,16 +594,25 @@ def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> N
 
 
 def _of_code(code: CodeType) -> tuple[list[str], list[str]]:
-    """Names that a function looks up, and words that stand in it, those of functions inside it included."""
+    """Names that a function looks up, and words that stand in it, those of functions inside it
+    included.
+    """
     inner = [_of_code(each) for each in code.co_consts if isinstance(each, CodeType)]
-    words = [word for each in code.co_consts for word in (each if isinstance(each, tuple) else (each,)) if isinstance(word, str)]
+    words = [
+        word
+        for each in code.co_consts
+        for word in (each if isinstance(each, tuple) else (each,))
+        if isinstance(word, str)
+    ]
     names = sorted({*code.co_names, *(name for names, _ in inner for name in names)})
     return names, sorted({*words, *(word for _, words in inner for word in words)})
 
 
 @cache
 def _of_source(file: str) -> str:
-    """A file of the checkout, the benchmarks that it imports, and the rooms of the package that they import from."""
+    """A file of the checkout, the benchmarks that it imports, and the rooms of the package that
+    they import from.
+    """
     texts: dict[str, str] = {}
     waiting, modules = [file], set[str]()
     while waiting:
@@ -444,8 +620,16 @@ def _of_source(file: str) -> str:
         if name in texts:
             continue
         texts[name] = (ROOT / name).read_text(encoding="utf-8")
-        imported = [node.module for node in ast.walk(ast.parse(texts[name])) if isinstance(node, ast.ImportFrom) and node.module]
-        files = [f"{module.replace('.', '/')}.py" for module in imported if module.startswith("benchmarks.")]
+        imported = [
+            node.module
+            for node in ast.walk(ast.parse(texts[name]))
+            if isinstance(node, ast.ImportFrom) and node.module
+        ]
+        files = [
+            f"{module.replace('.', '/')}.py"
+            for module in imported
+            if module.startswith("benchmarks.")
+        ]
         waiting += [file for file in files if (ROOT / file).is_file()]
         modules.update(module for module in imported if module.partition(".")[0] == PACKAGE)
     return digest_values(*sorted(texts.values()), code_of(*modules))

@@ -1,8 +1,10 @@
-"""Write the files of a release that follow from others: ``python tools/release/release_files.py [--lock]``.
+"""Write the files of a release that follow from others: ``python tools/release/release_files.py
+[--lock]``.
 
-conda/recipe.yaml follows from setup.cfg and pyproject.toml; croissant.json (MLCommons' description of a data set) from the
-demo capture that ships. ``--lock`` also resolves requirements.lock anew by uv, which asks the package index.
-tests/test_release.py fails where a file is older than its sources.
+conda/recipe.yaml follows from setup.cfg and pyproject.toml; croissant.json (MLCommons' description
+of a data set) from the demo capture that ships. ``--lock`` also resolves requirements.lock anew by
+uv, which asks the package index. tests/test_release.py fails where a file is older than its
+sources.
 """
 
 import configparser
@@ -15,7 +17,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-RECIPE, CROISSANT, LOCK = ROOT / "conda" / "recipe.yaml", ROOT / "croissant.json", ROOT / "requirements.lock"
+RECIPE, CROISSANT, LOCK = (
+    ROOT / "conda" / "recipe.yaml",
+    ROOT / "croissant.json",
+    ROOT / "requirements.lock",
+)
 DEMO = Path("ggvs_eval/synthetic/shipped_demo")
 # Names that conda-forge gives to packages of PyPI, where they differ.
 CONDA_NAMES = {
@@ -25,18 +31,54 @@ CONDA_NAMES = {
     "torch": "pytorch",
 }
 CONDA_LEFT_OUT = ("open3d-cpu",)  # a name of PyPI alone for one platform
-MEDIA_TYPES = {".mp4": "video/mp4", ".mkv": "video/x-matroska", ".npy": "application/x-npy", ".json": "application/json"}
+MEDIA_TYPES = {
+    ".mp4": "video/mp4",
+    ".mkv": "video/x-matroska",
+    ".npy": "application/x-npy",
+    ".json": "application/json",
+}
 LOCK_COMMAND = (
-    *("uv", "pip", "compile", "setup.cfg", "--extra", "dev", "--universal", "--python-version", "3.11"),
+    *(
+        "uv",
+        "pip",
+        "compile",
+        "setup.cfg",
+        "--extra",
+        "dev",
+        "--universal",
+        "--python-version",
+        "3.11",
+    ),
     *("--no-annotate", "--no-header", "--default-index", "https://pypi.org/simple"),
 )
 LOCK_HEAD = """# Versions that contributors share: `uv venv && uv pip sync requirements.lock && uv pip install --no-deps -e .`
 # Written by `python tools/release/release_files.py --lock` from setup.cfg; names no index.
-"""
+"""  # noqa: E501
 # Croissant 1.0's own context: each of its words, and those that come from elsewhere.
 CROISSANT_WORDS = (
-    *("citeAs", "column", "equivalentProperty", "extract", "field", "fileProperty", "fileObject", "fileSet", "format"),
-    *("includes", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet", "references", "regex"),
+    *(
+        "citeAs",
+        "column",
+        "equivalentProperty",
+        "extract",
+        "field",
+        "fileProperty",
+        "fileObject",
+        "fileSet",
+        "format",
+    ),
+    *(
+        "includes",
+        "isLiveDataset",
+        "jsonPath",
+        "key",
+        "md5",
+        "parentField",
+        "path",
+        "recordSet",
+        "references",
+        "regex",
+    ),
     *("repeated", "replace", "samplingRate", "separator", "source", "subField", "transform"),
 )
 CROISSANT_CONTEXT = {
@@ -96,7 +138,9 @@ def recipe_text() -> str:
     """Return the recipe of conda-build's successor (rattler-build), as conda-forge takes it."""
     config = setup_options()
     metadata, options = config["metadata"], config["options"]
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"][
+        "requires"
+    ]
     python = f"python {options['python_requires']}"
     (script,) = requirement_lines(config["options.entry_points"]["console_scripts"])
     command, _, place = (part.strip() for part in script.partition("="))
@@ -151,8 +195,9 @@ def croissant_text() -> str:
         "conformsTo": "http://mlcommons.org/croissant/1.0",
         "name": "ggvs-eval-demo",
         "description": (
-            f"A procedural dynamic room in the layout of Neural 3D Video: {len(videos)} synchronised cameras, their poses, "
-            "and the exact images of a camera path at one instant. Made by ggvs-eval; nobody is in it."
+            f"A procedural dynamic room in the layout of Neural 3D Video: {len(videos)} "
+            "synchronised cameras, their poses, and the exact images of a camera path at one "
+            "instant. Made by ggvs-eval; nobody is in it."
         ),
         "version": config["version"],
         "license": "https://spdx.org/licenses/MIT.html",
@@ -180,7 +225,10 @@ def file_object(file: Path) -> dict[str, Any]:
 
 
 def resolve_lock() -> str:
-    """Return the newest versions that fit together, for all platforms and Pythons; asks the package index."""
+    """Return the newest versions that fit together, for all platforms and Pythons.
+
+    Asks the package index.
+    """
     resolved = subprocess.run(LOCK_COMMAND, cwd=ROOT, capture_output=True, text=True, check=True)
     return resolved.stdout
 

@@ -1,4 +1,6 @@
-"""MVSNeRF (Chen et al., ICCV 2021): a feature volume in the frustum of one view, and radiance along the target's rays."""
+"""MVSNeRF (Chen et al., ICCV 2021): a feature volume in the frustum of one view, and radiance along
+the target's rays.
+"""
 
 from ggvs_eval.baselines.learned import LearnedBaseline
 

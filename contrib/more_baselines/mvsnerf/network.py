@@ -1,4 +1,6 @@
-"""MVSNeRF's networks: features of an image, a 3D U-Net over the volume, radiance of samples; and where their weights come from.
+"""MVSNeRF's networks: features of an image, a 3D U-Net over the volume, radiance of samples.
+
+And where their weights come from.
 
 Names of modules are those of the published checkpoint.
 """
@@ -19,17 +21,21 @@ SLOPE = 0.01  # of what is negative
 
 
 class Normalisation(nn.BatchNorm2d):
-    """Batch normalisation and leaky ReLU, of images or volumes; the scale is the weight's magnitude.
+    """Batch normalisation and leaky ReLU, of images or volumes.
+
+    The scale is the weight's magnitude.
 
     Reading:
-        Statistics are of what is at hand, the running ones of the checkpoint are not used: the authors' evaluation leaves their
-        network in training mode.
+        Statistics are of what is at hand, the running ones of the checkpoint are not used: the
+        authors' evaluation leaves their network in training mode.
     """
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, C, ...) to the same."""
         scale = self.weight.abs() + self.eps
-        normalised = functional.batch_norm(features, None, None, scale, self.bias, training=True, eps=self.eps)
+        normalised = functional.batch_norm(
+            features, None, None, scale, self.bias, training=True, eps=self.eps
+        )
         return functional.leaky_relu(normalised, SLOPE)
 
 
@@ -63,7 +69,9 @@ class Convolution3d(nn.Module):
 
 def _enlarging(width_in: int, width: int) -> nn.Sequential:
     """Return the transposed convolution to twice the size, normalised."""
-    enlarged = nn.ConvTranspose3d(width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False)
+    enlarged = nn.ConvTranspose3d(
+        width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False
+    )
     return nn.Sequential(enlarged, Normalisation(width))
 
 
@@ -73,12 +81,18 @@ class FeatureNetwork(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.conv0 = nn.Sequential(Convolution2d(3, 8), Convolution2d(8, 8))
-        self.conv1 = nn.Sequential(Convolution2d(8, 16, 5, stride=2), Convolution2d(16, 16), Convolution2d(16, 16))
-        self.conv2 = nn.Sequential(Convolution2d(16, 32, 5, stride=2), Convolution2d(32, 32), Convolution2d(32, 32))
+        self.conv1 = nn.Sequential(
+            Convolution2d(8, 16, 5, stride=2), Convolution2d(16, 16), Convolution2d(16, 16)
+        )
+        self.conv2 = nn.Sequential(
+            Convolution2d(16, 32, 5, stride=2), Convolution2d(32, 32), Convolution2d(32, 32)
+        )
         self.toplayer = nn.Conv2d(32, FEATURE_WIDTH, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """(B, 3, H, W), normalised as ImageNet's, sides multiples of 4, to (B, 32, H / 4, W / 4)."""
+        """(B, 3, H, W), normalised as ImageNet's, sides multiples of 4, to (B, 32, H / 4, W
+        / 4).
+        """
         features: Tensor = self.toplayer(self.conv2(self.conv1(self.conv0(images))))
         return features
 
@@ -120,12 +134,17 @@ class Encoding(nn.Module):
 
 
 class RadianceNetwork(nn.Module):
-    """Colour and density of samples; what the volume and the views show there scales every layer."""
+    """Colour and density of samples.
+
+    What the volume and the views show there scales every layer.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         place_width = 3 * (1 + 2 * OCTAVES)
-        widths = [place_width] + [HIDDEN_WIDTH + (place_width if i == SKIPPING_LAYER + 1 else 0) for i in range(1, LAYERS)]
+        widths = [place_width] + [
+            HIDDEN_WIDTH + (place_width if i == SKIPPING_LAYER + 1 else 0) for i in range(1, LAYERS)
+        ]
         self.pts_linears = nn.ModuleList([nn.Linear(width, HIDDEN_WIDTH) for width in widths])
         self.pts_bias = nn.Linear(VOXEL_WIDTH + 4 * VIEWS, HIDDEN_WIDTH)
         self.views_linears = nn.ModuleList([nn.Linear(HIDDEN_WIDTH + 3, HIDDEN_WIDTH // 2)])
@@ -133,12 +152,15 @@ class RadianceNetwork(nn.Module):
         self.alpha_linear = nn.Linear(HIDDEN_WIDTH, 1)
         self.rgb_linear = nn.Linear(HIDDEN_WIDTH // 2, 3)
 
-    def forward(self, places: Tensor, features: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, places: Tensor, features: Tensor, directions: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Return the colour and density of each sample.
 
         Args:
             places: in the volume, its sides from 0 to 1, (N, 3).
-            features: features of the volume there, and of each view colour and whether it sees the sample, (N, 8 + 12).
+            features: features of the volume there, and of each view colour and whether it sees the
+                sample, (N, 8 + 12).
             directions: of the target's ray in the frame of the reference, unit, (N, 3).
 
         Returns:
@@ -152,7 +174,9 @@ class RadianceNetwork(nn.Module):
                 hidden = torch.cat([encoded, hidden], dim=-1)
         density = functional.relu(self.alpha_linear(hidden))[:, 0]
         coloured = torch.cat([self.feature_linear(hidden), directions], dim=-1)
-        return torch.sigmoid(self.rgb_linear(functional.relu(self.views_linears[0](coloured)))), density
+        return torch.sigmoid(
+            self.rgb_linear(functional.relu(self.views_linears[0](coloured)))
+        ), density
 
 
 def encode(places: Tensor) -> Tensor:
@@ -179,12 +203,16 @@ class Networks(nn.Module):
 
 
 def load_mvsnerf(path: Path) -> Networks:
-    """Return the networks of the authors' checkpoint, a dict with ``network_mvs_state_dict`` and ``network_fn_state_dict``.
+    """Return the networks of the authors' checkpoint, a dict with ``network_mvs_state_dict`` and
+    ``network_fn_state_dict``.
 
     Raises:
-        WeightsError: absent, damaged, more than tensors and numbers inside, or tensors of another network.
+        WeightsError: absent, damaged, more than tensors and numbers inside, or tensors of another
+            network.
     """
     networks = Networks()
     for name, network in networks.named_children():
-        load_strict(read_tensors(path, f"{name}_state_dict", model="MVSNeRF"), network, path, "MVSNeRF")
+        load_strict(
+            read_tensors(path, f"{name}_state_dict", model="MVSNeRF"), network, path, "MVSNeRF"
+        )
     return networks.eval().requires_grad_(False)

@@ -1,4 +1,6 @@
-"""MVSplat (Chen et al., ECCV 2024): a cost volume per source view, one Gaussian per pixel, all of them rendered at once."""
+"""MVSplat (Chen et al., ECCV 2024): a cost volume per source view, one Gaussian per pixel, all of
+them rendered at once.
+"""
 
 from ggvs_eval.baselines.learned import LearnedBaseline
 

@@ -1,6 +1,8 @@
-"""Features of every source view: a convolutional network of each image, then attention within and between the views.
+"""Features of every source view: a convolutional network of each image, then attention within and
+between the views.
 
-Names of modules are those of the published checkpoint, which are those of UniMatch (Xu et al. 2023).
+Names of modules are those of the published checkpoint, which are those of UniMatch (Xu et al.
+2023).
 """
 
 from collections.abc import Iterator
@@ -35,7 +37,9 @@ class ConvolutionalEncoder(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the RGB in [0, 1], (K, 3, H, W), to (K, width, H / 4, W / 4)."""
-        mean, deviation = (images.new_tensor(values)[:, None, None] for values in (IMAGE_MEAN, IMAGE_DEVIATION))
+        mean, deviation = (
+            images.new_tensor(values)[:, None, None] for values in (IMAGE_MEAN, IMAGE_DEVIATION)
+        )
         stem = functional.relu(self.norm1(self.conv1((images - mean) / deviation)))
         features: Tensor = self.conv2(self.layer3(self.layer2(self.layer1(stem))))
         return features
@@ -44,20 +48,36 @@ class ConvolutionalEncoder(nn.Module):
 def _stage(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
     """Return two residual blocks, the first of which changes width and size."""
     blocks = [(width_in, stride), (width, 1)]
-    return nn.Sequential(*(ResidualBlock(entry, width, nn.InstanceNorm2d, step, bias=False) for entry, step in blocks))
+    return nn.Sequential(
+        *(
+            ResidualBlock(
+                width_in=entry, width=width, normalise=nn.InstanceNorm2d, stride=step, bias=False
+            )
+            for entry, step in blocks
+        )
+    )
 
 
 class AttentionLayer(nn.Module):
-    """Attention of one head within windows, added to what asks; after it a perceptron if there is one."""
+    """Attention of one head within windows, added to what asks.
+
+    After it a perceptron if there is one.
+    """
 
     def __init__(self, width: int, perceptron: bool) -> None:
         super().__init__()
-        self.q_proj, self.k_proj, self.v_proj, self.merge = (nn.Linear(width, width, bias=False) for _ in range(4))
+        self.q_proj, self.k_proj, self.v_proj, self.merge = (
+            nn.Linear(width, width, bias=False) for _ in range(4)
+        )
         self.norm1 = nn.LayerNorm(width)
         self.mlp: nn.Module | None = None
         if perceptron:
             inner = 2 * width * EXPANSION
-            self.mlp = nn.Sequential(nn.Linear(2 * width, inner, bias=False), nn.GELU(), nn.Linear(inner, width, bias=False))
+            self.mlp = nn.Sequential(
+                nn.Linear(2 * width, inner, bias=False),
+                nn.GELU(),
+                nn.Linear(inner, width, bias=False),
+            )
             self.norm2 = nn.LayerNorm(width)
 
     @property
@@ -70,10 +90,17 @@ class AttentionLayer(nn.Module):
 
         Args:
             views: (K, h, w, C).
-            context: what each view sees of the others, features of all K; None if each looks at itself.
+            context: what each view sees of the others, features of all K; None if each looks at
+                itself.
         """
         target = views if context is None else context
-        attended = _attend(self.q_proj(views), self.k_proj(target), self.v_proj(target), blocks, across=context is not None)
+        attended = _attend(
+            self.q_proj(views),
+            self.k_proj(target),
+            self.v_proj(target),
+            blocks,
+            across=context is not None,
+        )
         message = self.norm1(self.merge(attended))
         if self.mlp is not None:
             message = self.norm2(self.mlp(torch.cat([views, message], dim=-1)))
@@ -81,13 +108,21 @@ class AttentionLayer(nn.Module):
 
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, blocks: list[Block], across: bool) -> Tensor:
-    """Return the sum of the values of a window's cells, those of the own view or those of all others, all (K, h, w, C)."""
+    """Return the sum of the values of a window's cells, those of the own view or those of all
+    others, all (K, h, w, C).
+    """
     attended = torch.empty_like(query)
     for rows, columns, down, right in blocks:
-        queries, keys, values = (_windows(maps[:, rows, columns], down, right) for maps in (query, key, value))  # (K, n, L, C)
+        # (K, n, L, C)
+        queries, keys, values = (
+            _windows(maps[:, rows, columns], down, right) for maps in (query, key, value)
+        )
         if across:
             answers = torch.cat(
-                [attention(queries[view, None], _others(keys, view), _others(values, view)) for view in range(len(query))]
+                [
+                    attention(queries[view, None], _others(keys, view), _others(values, view))
+                    for view in range(len(query))
+                ]
             )
         else:
             answers = attention(queries, keys, values)
@@ -96,7 +131,9 @@ def _attend(query: Tensor, key: Tensor, value: Tensor, blocks: list[Block], acro
 
 
 def _others(windows: Tensor, view: int) -> Tensor:
-    """Return the windows of all views but one, side by side as one each, (K, n, L, C) to (1, n, (K - 1) * L, C)."""
+    """Return the windows of all views but one, side by side as one each, (K, n, L, C) to (1, n, (K
+    - 1) * L, C).
+    """
     windows_left = torch.cat([windows[:view], windows[view + 1 :]])
     return windows_left.transpose(0, 1).flatten(1, 2)[None]
 
@@ -153,14 +190,17 @@ def window_blocks(height: int, width: int, window: tuple[int, int], shifted: boo
     """Cut a map into windows, grouped by their size.
 
     Args:
-        shifted: whether the grid is moved by half a window; what is left at the borders are smaller windows.
+        shifted: whether the grid is moved by half a window; what is left at the borders are smaller
+            windows.
 
     Reading:
-        The authors roll the map, so that opposite borders meet in one window, and forbid what does not belong together by -100
-        before the softmax. That is what smaller windows at the borders give, to within exp(-100).
+        The authors roll the map, so that opposite borders meet in one window, and forbid what does
+        not belong together by -100 before the softmax. That is what smaller windows at the borders
+        give, to within exp(-100).
     """
     down, right = (
-        list(_cuts(side, length, length // 2 if shifted else 0)) for side, length in zip((height, width), window, strict=True)
+        list(_cuts(side, length, length // 2 if shifted else 0))
+        for side, length in zip((height, width), window, strict=True)
     )
     return [(rows, columns, many, more) for rows, many in down for columns, more in right]
 
@@ -177,7 +217,9 @@ def _cuts(side: int, length: int, shift: int) -> Iterator[tuple[slice, int]]:
 
 
 def window_position(height: int, width: int, channels: int) -> Tensor:
-    """Sines of the place within a window (Carion et al. 2020), (height, width, channels): those of the row first."""
+    """Sines of the place within a window (Carion et al. 2020), (height, width, channels): those of
+    the row first.
+    """
     parts = []
     for side in (height, width):
         place = torch.arange(1, side + 1, dtype=torch.float32) / (side + 1e-6) * 2 * pi
@@ -186,11 +228,15 @@ def window_position(height: int, width: int, channels: int) -> Tensor:
         angle = place[:, None] / waves
         parts.append(torch.where(number % 2 == 0, angle.sin(), angle.cos()))
     down, across = parts
-    return torch.cat([down[:, None].expand(-1, width, -1), across[None].expand(height, -1, -1)], dim=-1)
+    return torch.cat(
+        [down[:, None].expand(-1, width, -1), across[None].expand(height, -1, -1)], dim=-1
+    )
 
 
 class Backbone(nn.Module):
-    """Features of every view ('backbone'), and those that know of the other views ('transformer')."""
+    """Features of every view ('backbone'), and those that know of the other views
+    ('transformer').
+    """
 
     def __init__(self, stages: tuple[int, int, int], width: int, layers: int) -> None:
         super().__init__()
@@ -205,7 +251,8 @@ class Backbone(nn.Module):
             window: cells along the side of a window; None for windows of half the map.
 
         Returns:
-            Features that know of the other views, and those of each image alone, both (K, width, H / 4, W / 4).
+            Features that know of the other views, and those of each image alone, both (K, width, H
+            / 4, W / 4).
         """
         alone: Tensor = self.backbone(images)
         height, width = alone.shape[2:]

@@ -1,4 +1,6 @@
-"""Depth of every pixel by cost volumes between the views, and what the network says of its Gaussian ('depth_predictor')."""
+"""Depth of every pixel by cost volumes between the views, and what the network says of its Gaussian
+('depth_predictor').
+"""
 
 from typing import NamedTuple
 
@@ -19,8 +21,12 @@ class ResidualUnit(nn.Module):
 
     def __init__(self, width_in: int, width: int) -> None:
         super().__init__()
-        self.in_layers = nn.Sequential(nn.Conv2d(width_in, width, 3, padding=1), nn.GroupNorm(GROUPS, width), nn.SiLU())
-        self.out_layers = nn.Sequential(nn.Conv2d(width, width, 3, padding=1), _silent(width), nn.SiLU())
+        self.in_layers = nn.Sequential(
+            nn.Conv2d(width_in, width, 3, padding=1), nn.GroupNorm(GROUPS, width), nn.SiLU()
+        )
+        self.out_layers = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1), _silent(width), nn.SiLU()
+        )
         self.skip_connection = nn.Identity() if width_in == width else nn.Conv2d(width_in, width, 1)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -43,10 +49,14 @@ class JointAttention(nn.Module):
         """(K, C, h, w), of any number of views."""
         count, channels, height, width = features.shape
         cells = features.flatten(2)  # (K, C, h * w)
-        joined = self.qkv(cells).transpose(0, 1).reshape(self.heads, 3, channels // self.heads, -1)  # heads first, then q, k, v
-        query, key, value = (part.transpose(-1, -2)[None].contiguous() for part in joined.unbind(1))  # (1, heads, K * h * w, C')
+        # heads first, then q, k, v
+        joined = self.qkv(cells).transpose(0, 1).reshape(self.heads, 3, channels // self.heads, -1)
+        # (1, heads, K * h * w, C')
+        query, key, value = (part.transpose(-1, -2)[None].contiguous() for part in joined.unbind(1))
         attended = functional.scaled_dot_product_attention(query, key, value)
-        apart = attended[0].transpose(-1, -2).reshape(channels, count, height * width).transpose(0, 1)
+        apart = (
+            attended[0].transpose(-1, -2).reshape(channels, count, height * width).transpose(0, 1)
+        )
         changed: Tensor = self.norm(self.proj_out(apart))
         return (cells + changed).reshape(features.shape)
 
@@ -73,7 +83,9 @@ class Doubling(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(K, C, h, w) to (K, C, 2 h, 2 w)."""
-        doubled: Tensor = self.conv(functional.interpolate(features, scale_factor=2, mode="nearest"))
+        doubled: Tensor = self.conv(
+            functional.interpolate(features, scale_factor=2, mode="nearest")
+        )
         return doubled
 
 
@@ -94,13 +106,19 @@ class UNet(nn.Module):
             self.input_blocks.append(nn.Sequential(ResidualUnit(width, width), *attention))
             if level != lowest:
                 self.input_blocks.append(nn.Sequential(Halving(width)))
-        self.middle_block = nn.Sequential(ResidualUnit(width, width), nn.Identity(), ResidualUnit(width, width))
+        self.middle_block = nn.Sequential(
+            ResidualUnit(width, width), nn.Identity(), ResidualUnit(width, width)
+        )
         for level in reversed(range(levels)):
             for last in (False, True):
                 attention = [JointAttention(width)] if level == lowest else []
                 doubling = [Doubling(width)] if last and level else []
-                self.output_blocks.append(nn.Sequential(ResidualUnit(2 * width, width), *attention, *doubling))
-        self.out = nn.Sequential(nn.Conv2d(width, width, 3, padding=1), nn.GroupNorm(GROUPS, width), nn.SiLU())
+                self.output_blocks.append(
+                    nn.Sequential(ResidualUnit(2 * width, width), *attention, *doubling)
+                )
+        self.out = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1), nn.GroupNorm(GROUPS, width), nn.SiLU()
+        )
 
     def forward(self, features: Tensor) -> Tensor:
         """(K, C, h, w) of all views, h and w multiples of 2**(levels - 1)."""
@@ -116,7 +134,9 @@ class UNet(nn.Module):
 
 
 def _silent(width: int) -> nn.GroupNorm:
-    """Return a normalisation that gives nothing at first, so that the network begins with its shortcuts."""
+    """Return a normalisation that gives nothing at first, so that the network begins with its
+    shortcuts.
+    """
     norm = nn.GroupNorm(GROUPS, width)
     nn.init.zeros_(norm.weight)
     return norm
@@ -136,8 +156,9 @@ class PixelMaps(NamedTuple):
         coarse_disparity: expectation under the cost volume, per unit of length, (K, 1, H, W).
         disparity: the refined one, within the searched range, (K, 1, H, W).
         opacity_logit: (K, 1, H, W).
-        shape: offset in the pixel 2, scale 3, quaternion 4 with its real part last, harmonics of red, then of green, then of
-            blue; before their activations, (K, 2 + 3 + 4 + 3 * terms, H, W).
+        shape: offset in the pixel 2, scale 3, quaternion 4 with its real part last, harmonics of
+            red, then of green, then of blue; before their activations, (K, 2 + 3 + 4 + 3 * terms,
+            H, W).
     """
 
     coarse_disparity: Tensor
@@ -149,7 +170,14 @@ class PixelMaps(NamedTuple):
 class DepthPredictor(nn.Module):
     """Cost volumes, their refinement, and the heads at full resolution."""
 
-    def __init__(self, width: int, candidates: int, cost_width: int, refinement_width: int, shape_channels: int) -> None:
+    def __init__(
+        self,
+        width: int,
+        candidates: int,
+        cost_width: int,
+        refinement_width: int,
+        shape_channels: int,
+    ) -> None:
         super().__init__()
         self.candidates = candidates
         self.corr_refine_net = nn.Sequential(
@@ -162,7 +190,9 @@ class DepthPredictor(nn.Module):
         self.regressor_residual = nn.Conv2d(candidates + width, candidates, 1)
         self.depth_head_lowres = _head(candidates, 2 * candidates, candidates)
         self.upsampler = nn.Sequential(
-            _convolution(2 * width, width), nn.Upsample(scale_factor=SCALE, mode="bilinear", align_corners=True), nn.GELU()
+            _convolution(2 * width, width),
+            nn.Upsample(scale_factor=SCALE, mode="bilinear", align_corners=True),
+            nn.GELU(),
         )
         self.proj_feature = _convolution(width, refinement_width)
         self.refine_unet = nn.Sequential(
@@ -184,31 +214,46 @@ class DepthPredictor(nn.Module):
         images = views.images
         coarse, certainty = self.search(together, views)
         pairs = torch.cat([together, alone], dim=1)
-        projected = torch.cat([self.proj_feature(self.upsampler(pair)) for pair in pairs.split(1)])  # view by view: memory
+        # view by view: memory
+        projected = torch.cat([self.proj_feature(self.upsampler(pair)) for pair in pairs.split(1)])
         refined = self.refine_unet(torch.cat([images, projected, coarse, certainty], dim=1))
         change, opacity_logit = self.to_disparity(refined).float().split(1, dim=1)
         disparity = (coarse + change).clamp(1 / views.far, 1 / views.near)
         parts = zip(refined.split(1), images.split(1), pairs.split(1), strict=True)
         shape = torch.cat(
-            [self.to_gaussians(torch.cat([part, image, self.upsampler(pair)], dim=1)).float() for part, image, pair in parts]
+            [
+                self.to_gaussians(torch.cat([part, image, self.upsampler(pair)], dim=1)).float()
+                for part, image, pair in parts
+            ]
         )
-        return PixelMaps(coarse, disparity, opacity_logit, shape)
+        return PixelMaps(
+            coarse_disparity=coarse, disparity=disparity, opacity_logit=opacity_logit, shape=shape
+        )
 
     def search(self, together: Tensor, views: Views) -> tuple[Tensor, Tensor]:
-        """Return the inverse depth that the cost volumes expect, and the largest share of a candidate, both (K, 1, H, W)."""
+        """Return the inverse depth that the cost volumes expect, and the largest share of a
+        candidate, both (K, 1, H, W).
+        """
         disparities = torch.linspace(1 / views.far, 1 / views.near, self.candidates)
-        volume = torch.cat([correlations(together.float(), views, disparities).to(together.dtype), together], dim=1)
+        volume = torch.cat(
+            [correlations(together.float(), views, disparities).to(together.dtype), together], dim=1
+        )
         costs = self.corr_refine_net(volume) + self.regressor_residual(volume)
         shares = torch.softmax(self.depth_head_lowres(costs).float(), dim=1)  # (K, D, H / 4, W / 4)
         expected = (shares * disparities[:, None, None]).sum(dim=1, keepdim=True)
         return (
-            functional.interpolate(expected, scale_factor=SCALE, mode="bilinear", align_corners=True),
-            functional.interpolate(shares.amax(dim=1, keepdim=True), scale_factor=SCALE, mode="nearest"),
+            functional.interpolate(
+                expected, scale_factor=SCALE, mode="bilinear", align_corners=True
+            ),
+            functional.interpolate(
+                shares.amax(dim=1, keepdim=True), scale_factor=SCALE, mode="nearest"
+            ),
         )
 
 
 def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:
-    """Cost volumes: how alike a view's feature and those of the others are on planes before it, the mean over the others.
+    """Cost volumes: how alike a view's feature and those of the others are on planes before it, the
+    mean over the others.
 
     Args:
         features: (K, C, h, w).
@@ -220,13 +265,17 @@ def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:
     """
     count, channels, height, width = features.shape
     sums = features.new_zeros(count, len(disparities), height, width)
-    rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in (height, width)), indexing="ij")
+    rows, columns = torch.meshgrid(
+        *(torch.arange(side, dtype=torch.float32) for side in (height, width)), indexing="ij"
+    )
     cells = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
     last = features.new_tensor([width - 1, height - 1])
     at_once = max(MOST_AT_ONCE // features[0].numel(), 1)
     for view in range(count):
         for partner in (index for index in range(count) if index != view):
-            turn, shift = (torch.as_tensor(part).float() for part in _homography(views, view, partner))
+            turn, shift = (
+                torch.as_tensor(part).float() for part in _homography(views, view, partner)
+            )
             rays = cells @ turn.T
             similar = []
             for depths in (1 / disparities).split(at_once):
@@ -240,16 +289,21 @@ def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:
 
 
 def _look_up(features: Tensor, places: Tensor) -> Tensor:
-    """Return the features (C, h, w) at places (H, W, 2) in [-1, 1], bilinear, 0 outside, (C, H, W)."""
-    return functional.grid_sample(features[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=True)[0]
+    """Return the features (C, h, w) at places (H, W, 2) in [-1, 1], bilinear, 0 outside,
+    (C, H, W).
+    """
+    return functional.grid_sample(
+        features[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=True
+    )[0]
 
 
 def _homography(views: Views, view: int, partner: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cell (x, y, 1) of a view at depth z to z' (x', y', 1) in another: ``turn @ cell * z + shift``.
+    """Cell (x, y, 1) of a view at depth z to z' (x', y', 1) in another: ``turn @ cell * z +
+    shift``.
 
     Reading:
-        As the authors', cells are at whole numbers of intrinsics whose pixel centres are at halves; both views are off by the
-        same eighth of a cell.
+        As the authors', cells are at whole numbers of intrinsics whose pixel centres are at halves;
+        both views are off by the same eighth of a cell.
     """
     K, other_K = (np.diag([1 / SCALE, 1 / SCALE, 1]) @ views.K[index] for index in (view, partner))
     move = np.linalg.inv(views.camera_to_world[partner]) @ views.camera_to_world[view]

@@ -23,8 +23,9 @@ class Mvsplat:
         weights: file of its weights, see `load_network`.
 
     Reading:
-        The authors render with the principal point in the middle of the image and in units of the nearest depth; here it stays
-        where it is. Their weights were trained with two views and take more.
+        The authors render with the principal point in the middle of the image and in units of the
+        nearest depth; here it stays where it is. Their weights were trained with two views and take
+        more.
     """
 
     weights: Path
@@ -38,7 +39,8 @@ class Mvsplat:
         """Synthesise one instant."""
         if len(instant.sources) < FEWEST_VIEWS:
             raise RenderError(
-                f"MVSplat wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"
+                f"MVSplat wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; "
+                f"raise k in the protocol"
             )
         device = compute_device(self.device)
         network = load_network(self.weights, device)
@@ -47,12 +49,20 @@ class Mvsplat:
             cloud = instant_cloud(network, instant)
             regressed = clock_s(device)
             picture = render_gaussians(cloud, instant.target, near=instant.near_plane)
-            image, depth = picture.image.clamp(max=1).numpy(force=True), picture.depth.numpy(force=True)
-        return Rendering(image, depth, {"network": regressed - started, "splat": clock_s(device) - regressed})
+            image, depth = (
+                picture.image.clamp(max=1).numpy(force=True),
+                picture.depth.numpy(force=True),
+            )
+        return Rendering(
+            image, depth, {"network": regressed - started, "splat": clock_s(device) - regressed}
+        )
 
 
 def instant_cloud(network: MvsplatNetwork, instant: Instant) -> GaussianCloud:
-    """Return the Gaussians of an instant's sources, as they are rendered; gradients reach the network's parameters."""
+    """Return the Gaussians of an instant's sources, as they are rendered.
+
+    Gradients reach the network's parameters.
+    """
     views = see_views(instant, network.config.size_multiple)
     cloud = pixel_cloud(network(views), views, network.config.published)
     return rendered_part(cloud) if network.config.published else cloud

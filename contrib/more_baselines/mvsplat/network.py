@@ -1,4 +1,7 @@
-"""MVSplat as a whole: features, depth, Gaussians; its configurations, its weights, and what the compact network begins with."""
+"""MVSplat as a whole: features, depth, Gaussians.
+
+Its configurations, its weights, and what the compact network begins with.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,12 +33,14 @@ SMALL_SCALE = -2.0  # before the sigmoid: standard deviations of half a pixel
 def begin_as_plane_sweep(backbone: Backbone, predictor: DepthPredictor) -> None:
     """Set random weights so that the network does something sensible before it has learned.
 
-    Features of a view are random sums of its convolutions without their mean, attention is silent, the softmax sees costs
-    averaged over 5 x 5 cells, and a Gaussian is half a pixel large and is at the depth that is expected.
+    Features of a view are random sums of its convolutions without their mean, attention is silent,
+    the softmax sees costs averaged over 5 x 5 cells, and a Gaussian is half a pixel large and is at
+    the depth that is expected.
 
     Reading:
-        The authors begin with features and attention that others had trained to find depth. Nothing like it ships here, and the
-        compact network has half an hour: begun at random, it spends that on what a plane sweep does at once.
+        The authors begin with features and attention that others had trained to find depth. Nothing
+        like it ships here, and the compact network has half an hour: begun at random, it spends
+        that on what a plane sweep does at once.
     """
     last = backbone.backbone.conv2
     _fill(last, FEATURE_GAIN * (last.weight - last.weight.mean(dim=1, keepdim=True)))
@@ -54,7 +59,10 @@ def _sweep(predictor: DepthPredictor) -> None:
     """Costs as they are, averaged twice over 3 x 3 cells: GELU(x) - GELU(-x) is x."""
     planes = torch.eye(predictor.candidates)
     signed_planes = torch.cat([planes, -planes])  # (2 D, D)
-    costs, features = planes[..., None, None], torch.zeros_like(_weight(predictor.regressor_residual))[:, len(planes) :]
+    costs, features = (
+        planes[..., None, None],
+        torch.zeros_like(_weight(predictor.regressor_residual))[:, len(planes) :],
+    )
     _fill(predictor.corr_refine_net[4], FAINT * _weight(predictor.corr_refine_net[4]))
     _fill(predictor.regressor_residual, torch.cat([SHARPNESS * costs, features], dim=1))
     _fill(predictor.depth_head_lowres[0], _averaging(signed_planes))
@@ -85,11 +93,13 @@ class MvsplatShape:
 
     Attributes:
         stages: channels of the convolutional stages.
-        window: cells along the side of an attention's window; None for windows of half the map, which grow with the image.
+        window: cells along the side of an attention's window; None for windows of half the map,
+            which grow with the image.
         candidates: planes of a cost volume.
         cost_width: channels of the cost volume's U-Net.
         refinement_width: channels of the U-Net at full resolution.
-        published: whether Gaussians are read as the authors' code does, see `ggvs_eval.contrib.more_baselines.mvsplat.gaussians`.
+        published: whether Gaussians are read as the authors' code does, see
+            `ggvs_eval.contrib.more_baselines.mvsplat.gaussians`.
     """
 
     stages: tuple[int, int, int] = (64, 96, 128)
@@ -115,7 +125,17 @@ class MvsplatShape:
 
 CONFIGURATIONS = {
     "full": MvsplatShape(),
-    "compact": MvsplatShape((32, 48, 64), 64, 3, 8, 48, 48, 24, degree=1, published=False),
+    "compact": MvsplatShape(
+        stages=(32, 48, 64),
+        width=64,
+        layers=3,
+        window=8,
+        candidates=48,
+        cost_width=48,
+        refinement_width=24,
+        degree=1,
+        published=False,
+    ),
 }
 
 
@@ -128,7 +148,11 @@ class MvsplatNetwork(nn.Module):
         self.config = config = CONFIGURATIONS[configuration]
         self.backbone = Backbone(config.stages, config.width, config.layers)
         self.depth_predictor = DepthPredictor(
-            config.width, config.candidates, config.cost_width, config.refinement_width, config.shape_channels
+            width=config.width,
+            candidates=config.candidates,
+            cost_width=config.cost_width,
+            refinement_width=config.refinement_width,
+            shape_channels=config.shape_channels,
         )
         if not config.published:
             begin_as_plane_sweep(self.backbone, self.depth_predictor)
@@ -145,15 +169,18 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwo
     """Return the network of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint (a dict with ``state_dict``, whose names begin with ``encoder.``), or safetensors of those
-            names, or the output of `ggvs-eval train`.
+        path: the authors' checkpoint (a dict with ``state_dict``, whose names begin with
+            ``encoder.``), or safetensors of those names, or the output of `ggvs-eval train`.
 
     Raises:
-        WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
+        WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of
+            another network.
     """
     configuration = configuration_of(path, CONFIGURATIONS, OF)
     bare = configuration is not None or path.suffix == ".safetensors"
     tensors = read_tensors(path, *(() if bare else ("state_dict",)), model=OF)
     network = MvsplatNetwork(configuration or "full")
-    load_strict({name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}, network, path, OF)
+    load_strict(
+        {name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}, network, path, OF
+    )
     return network.eval().to(device)

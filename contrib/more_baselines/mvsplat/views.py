@@ -10,7 +10,8 @@ from torch.nn import functional
 
 from ggvs_eval.method import Instant, SourceView
 
-TRAINED_NEAR = 1.0  # nearest depth of the authors' training on RealEstate10K, whose inverses the network sees
+# nearest depth of the authors' training on RealEstate10K, whose inverses the network sees
+TRAINED_NEAR = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +49,10 @@ def see_views(instant: Instant, multiple: int) -> Views:
         multiple: sides become multiples of it.
 
     Reading:
-        The authors crop images at their middle to multiples of 16. Here they are padded at the right and at the bottom, by
-        repeating their border; what is outside the image gives no Gaussian. Depths are searched between the nearest and the
-        farthest of the instant's cameras, and lengths are scaled so that the nearest is that of the authors' training.
+        The authors crop images at their middle to multiples of 16. Here they are padded at the
+        right and at the bottom, by repeating their border; what is outside the image gives no
+        Gaussian. Depths are searched between the nearest and the farthest of the instant's cameras,
+        and lengths are scaled so that the nearest is that of the authors' training.
     """
     near, far = instant.depth_range
     unit = TRAINED_NEAR / near
@@ -60,10 +62,20 @@ def see_views(instant: Instant, multiple: int) -> Views:
     poses = np.stack([np.linalg.inv(camera.world_to_camera) for camera in cameras])
     poses[:, :3, 3] *= unit
     images = torch.cat([_padded(source, width, height) for source in instant.sources])
-    return Views(images, np.stack([camera.K for camera in cameras]), poses, near * unit, far * unit, unit, sizes)
+    return Views(
+        images=images,
+        K=np.stack([camera.K for camera in cameras]),
+        camera_to_world=poses,
+        near=near * unit,
+        far=far * unit,
+        unit=unit,
+        sizes=sizes,
+    )
 
 
 def _padded(source: SourceView, width: int, height: int) -> Tensor:
     """Its image, (1, 3, height, width)."""
     image = torch.as_tensor(np.ascontiguousarray(source.image)).permute(2, 0, 1)[None].float() / 255
-    return functional.pad(image, (0, width - image.shape[3], 0, height - image.shape[2]), mode="replicate")
+    return functional.pad(
+        image, (0, width - image.shape[3], 0, height - image.shape[2]), mode="replicate"
+    )

@@ -30,8 +30,9 @@ class EnerfRecipe(TrainingRecipe[Networks]):
     """The training of ENeRF.
 
     Reading:
-        Its authors minimise the squared error of both levels, the coarse one weighted by 0.1, and 0.01 times a distance of
-        features of VGG16. No weights of VGG ship here: 1 - SSIM replaces it. Depth is not used.
+        Its authors minimise the squared error of both levels, the coarse one weighted by 0.1, and
+        0.01 times a distance of features of VGG16. No weights of VGG ship here: 1 - SSIM replaces
+        it. Depth is not used.
     """
 
     crop_width: int = 256
@@ -47,7 +48,9 @@ class EnerfRecipe(TrainingRecipe[Networks]):
         unit = TRAINED_NEAR / near
         views = see_together(network.feature_net, sample.instant.sources, unit)
         grid = target_grid(target, unit)
-        coarse = search_coarsely(network, views, grid, near * unit, far * unit, network.coarse_planes)
+        coarse = search_coarsely(
+            network, views, grid, near * unit, far * unit, network.coarse_planes
+        )
         fine = refine_surface(network, views, grid, coarse)
         image, _ = render_surface(network, views, fine, target, unit, target.width * target.height)
         centre = torch.as_tensor(target.centre * unit).float()

@@ -1,4 +1,6 @@
-"""Training task of FWD: decode the target image from source features that given depth warps there."""
+"""Training task of FWD: decode the target image from source features that given depth warps
+there.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,9 +20,9 @@ class FwdRecipe(TrainingRecipe[FwdNetwork]):
     """The training of FWD with given depth.
 
     Reading:
-        Its authors minimise five times the squared error of colours in [-1, 1] and a distance of features of VGG19. No weights
-        of VGG19 ship here: 1 - SSIM replaces it, weighted as in the loss of GGVS here. Depth is not completed: the sources see
-        what is missing in each other.
+        Its authors minimise five times the squared error of colours in [-1, 1] and a distance of
+        features of VGG19. No weights of VGG19 ship here: 1 - SSIM replaces it, weighted as in the
+        loss of GGVS here. Depth is not completed: the sources see what is missing in each other.
     """
 
     crop_width: int = 192
@@ -31,7 +33,10 @@ class FwdRecipe(TrainingRecipe[FwdNetwork]):
     def terms(self, network: FwdNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Return the squared error and structure."""
         image, truth = self.rendered(network, sample.instant), sample.truth_tensor
-        return {"squared_loss": (2 * image - 2 * truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
+        return {
+            "squared_loss": (2 * image - 2 * truth).square().mean(),
+            "ssim_loss": structural_loss(image[None], truth[None]),
+        }
 
     def rendered(self, network: FwdNetwork, instant: Instant) -> Tensor:
         """Return the target view."""

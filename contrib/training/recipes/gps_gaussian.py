@@ -1,4 +1,6 @@
-"""Training task of GPS-Gaussian: shapes and opacities of Gaussians whose positions and colours are given."""
+"""Training task of GPS-Gaussian: shapes and opacities of Gaussians whose positions and colours are
+given.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -21,9 +23,10 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
     """The training of GPS-Gaussian with given depth.
 
     Reading:
-        The authors' second stage: 0.8 times the mean absolute error and 0.2 times 1 - SSIM. Their first stage teaches a stereo
-        network, which takes longer than all else here: it is given the depth that the others get instead. Two pairs are
-        rendered, so that it sees as many views as the others.
+        The authors' second stage: 0.8 times the mean absolute error and 0.2 times 1 - SSIM. Their
+        first stage teaches a stereo network, which takes longer than all else here: it is given the
+        depth that the others get instead. Two pairs are rendered, so that it sees as many views as
+        the others.
     """
 
     crop_width: int = 96
@@ -35,18 +38,30 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
         """Refuse a configuration part of which would not be taught."""
         if CONFIGURATIONS[self.configuration].stereo:
             raise TrainingError(
-                f"gps-gaussian: {self.configuration} has a stereo network, which cannot be trained here; use compact"
+                f"gps-gaussian: {self.configuration} has a stereo network, which cannot be trained "
+                f"here; use compact"
             )
 
-    def terms(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
+    def terms(
+        self, network: GpsGaussianNetwork, sample: InstantSample, step: int
+    ) -> dict[str, Tensor]:
         """Return the mean absolute error and structure."""
         image, truth = self.rendered(network, sample.instant), sample.truth_tensor
-        return {"l1_loss": (image - truth).abs().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
+        return {
+            "l1_loss": (image - truth).abs().mean(),
+            "ssim_loss": structural_loss(image[None], truth[None]),
+        }
 
     def refusal(self, instant: Instant) -> str | None:
-        """Sources none of whose pairs can be rectified, as a camera that walks straight ahead makes them."""
+        """Sources none of whose pairs can be rectified, as a camera that walks straight ahead makes
+        them.
+        """
         try:
-            choose_pairs(instant.target, [source.camera for source in instant.sources], CONFIGURATIONS[self.configuration].pairs)
+            choose_pairs(
+                instant.target,
+                [source.camera for source in instant.sources],
+                CONFIGURATIONS[self.configuration].pairs,
+            )
         except RenderError as error:
             return str(error)
         return None
@@ -57,4 +72,6 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
         gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
         device = next(network.parameters()).device.type
         with torch.autocast(device, enabled=False):  # few bits of a distance would move Gaussians
-            return blend_gaussians(gaussians, instant.target, instant.near_plane)[..., :3].permute(2, 0, 1)
+            return blend_gaussians(gaussians, instant.target, instant.near_plane)[..., :3].permute(
+                2, 0, 1
+            )

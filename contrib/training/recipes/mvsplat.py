@@ -1,4 +1,6 @@
-"""Training task of MVSplat: Gaussians whose picture is the target's, and depth that agrees with what stereo found."""
+"""Training task of MVSplat: Gaussians whose picture is the target's, and depth that agrees with
+what stereo found.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,11 +28,12 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
     """The training of MVSplat.
 
     Reading:
-        Its authors minimise the squared error and 0.05 times a distance of features of VGG16, and begin with features and
-        attention that another training had taught to find depth. No weights of VGG ship here: 1 - SSIM replaces it. In
-        place of the other training, the first `DEPTH_STEPS` steps teach coarse depth alone, at a third of the cost, and 0.3 times
-        the mean absolute error of both inverse depths (1 at the nearest depth) stays in the loss, where the depth that other
-        baselines are given is known; rendering is given none.
+        Its authors minimise the squared error and 0.05 times a distance of features of VGG16, and
+        begin with features and attention that another training had taught to find depth. No weights
+        of VGG ship here: 1 - SSIM replaces it. In place of the other training, the first
+        `DEPTH_STEPS` steps teach coarse depth alone, at a third of the cost, and 0.3 times the mean
+        absolute error of both inverse depths (1 at the nearest depth) stays in the loss, where the
+        depth that other baselines are given is known; rendering is given none.
     """
 
     crop_width: int = 96
@@ -51,25 +54,38 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
             together, _ = network.backbone(views.images, network.config.window)
             coarse, _ = network.depth_predictor.search(together, views)
             error = _disparity_error([coarse], views, instant)
-            return {"squared_loss": torch.zeros(()), "ssim_loss": torch.zeros(()), "disparity_loss": error}
+            return {
+                "squared_loss": torch.zeros(()),
+                "ssim_loss": torch.zeros(()),
+                "disparity_loss": error,
+            }
         pixels = network(views)
-        with torch.autocast(views.images.device.type, enabled=False):  # few bits of a depth would move Gaussians
+        # few bits of a depth would move Gaussians
+        with torch.autocast(views.images.device.type, enabled=False):
             cloud = pixel_cloud(pixels, views, network.config.published)
-            image = render_gaussians(cloud, instant.target, near=instant.near_plane).image.permute(2, 0, 1)
+            image = render_gaussians(cloud, instant.target, near=instant.near_plane).image.permute(
+                2, 0, 1
+            )
             return {
                 "squared_loss": (image - truth).square().mean(),
                 "ssim_loss": structural_loss(image[None], truth[None]),
-                "disparity_loss": _disparity_error([pixels.coarse_disparity, pixels.disparity], views, instant),
+                "disparity_loss": _disparity_error(
+                    [pixels.coarse_disparity, pixels.disparity], views, instant
+                ),
             }
 
     def rendered(self, network: MvsplatNetwork, instant: Instant) -> Tensor:
         """Return the target view."""
-        picture = render_gaussians(instant_cloud(network, instant), instant.target, near=instant.near_plane)
+        picture = render_gaussians(
+            instant_cloud(network, instant), instant.target, near=instant.near_plane
+        )
         return picture.image.permute(2, 0, 1)
 
 
 def _disparity_error(disparities: Sequence[Tensor], views: Views, instant: Instant) -> Tensor:
-    """Return the mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is known, 0 if it nowhere is."""
+    """Return the mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is
+    known, 0 if it nowhere is.
+    """
     errors = []
     for number, source in enumerate(instant.sources):
         height, width = source.depth.shape

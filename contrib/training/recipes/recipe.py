@@ -1,4 +1,6 @@
-"""Recipes: what a learned baseline adds to the training that all of them share, and which baselines have one."""
+"""Recipes: what a learned baseline adds to the training that all of them share, and which baselines
+have one.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -32,7 +34,9 @@ TRAINED_BASELINES = {name: LEARNED_BASELINES[name] for name in RECIPES if name i
 
 @dataclass(frozen=True)
 class TrainingRecipe(ABC, Generic[Network]):
-    """The network that a baseline trains, its loss, and how its progress is seen; samples, crops and scores are everybody's.
+    """The network that a baseline trains, its loss, and how its progress is seen.
+
+    Samples, crops and scores are everybody's.
 
     Attributes:
         configuration: of the network.
@@ -40,7 +44,8 @@ class TrainingRecipe(ABC, Generic[Network]):
         crop_width: of the target's crops, pixels.
         crop_height: of the crops.
         batch_size: crops of a step.
-        validated_step: pixels between two that are validated, along rows and columns; 1 validates whole views.
+        validated_step: pixels between two that are validated, along rows and columns; 1 validates
+            whole views.
         network_class: makes a network with random weights of a configuration.
         term_weights: of the terms of the loss, by name.
     """
@@ -67,8 +72,13 @@ class TrainingRecipe(ABC, Generic[Network]):
         """Return the weight of each term of the loss at a step."""
         return self.term_weights
 
-    def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
-        """Return the loss of one crop, the weighted sum of its terms, and these for the log; arguments as of `terms`."""
+    def sample_loss(
+        self, network: Network, sample: "InstantSample", step: int
+    ) -> "tuple[Tensor, dict[str, Tensor]]":
+        """Return the loss of one crop, the weighted sum of its terms, and these for the log.
+
+        Arguments as of `terms`.
+        """
         terms = self.terms(network, sample, step)
         first, *terms_left = (weight * terms[name] for name, weight in self.weights(step).items())
         return sum(terms_left, first), terms
@@ -84,7 +94,10 @@ class TrainingRecipe(ABC, Generic[Network]):
         """
 
     def refusal(self, instant: Instant) -> str | None:
-        """Return the reason why the method cannot render an instant, regardless of the network; None if it can."""
+        """Return the reason why the method cannot render an instant, regardless of the network.
+
+        None if it can.
+        """
         return None
 
     @abstractmethod

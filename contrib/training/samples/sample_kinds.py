@@ -77,7 +77,9 @@ class RawViews:
         return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 
     def maps(self, guidance: Guidance) -> BlendMaps:
-        """Return the maps that a network of that guidance works on: what `blend_maps` gives in one pass."""
+        """Return the maps that a network of that guidance works on: what `blend_maps` gives in one
+        pass.
+        """
         if guidance != "registered":
             return self.splatted
         share = np.where(
@@ -85,7 +87,9 @@ class RawViews:
         )  # of nothing there is no mix
         colours = self.splats + share[..., None] * (self.warps - self.splats)
         coverage = np.maximum(self.visibilities, FAINT * self.alphas)
-        return replace(self.splatted, colours=colours, coverage=coverage, visibilities=self.visibilities)
+        return replace(
+            self.splatted, colours=colours, coverage=coverage, visibilities=self.visibilities
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +99,8 @@ class BlendSample:
     Attributes:
         views: what the network looks at.
         truth: what the target's camera saw, (H, W, 3) uint8.
-        geometric: what the geometric blender makes of the same views, (H, W, 3) uint8; the network has to beat it.
+        geometric: what the geometric blender makes of the same views, (H, W, 3) uint8; the network
+            has to beat it.
     """
 
     views: RawViews
@@ -105,7 +110,11 @@ class BlendSample:
     def cropped(self, left: int, top: int, width: int, height: int) -> "BlendSample":
         """Return the window that starts at pixel (left, top)."""
         rows, columns = slice(top, top + height), slice(left, left + width)
-        return BlendSample(self.views.cropped(left, top, width, height), self.truth[rows, columns], self.geometric[rows, columns])
+        return BlendSample(
+            self.views.cropped(left, top, width, height),
+            self.truth[rows, columns],
+            self.geometric[rows, columns],
+        )
 
 
 def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendSample:
@@ -116,14 +125,18 @@ def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendS
         device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
 
     Reading:
-        The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
+        The paper shifts the principal point to render a crop; a crop of the whole rendering shows
+        the same.
     """
     views, geometric = rendered_views(instant, device)
     return BlendSample(views, truth, quantise(geometric))
 
 
 def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
-    """Return the views of one instant by themselves, and what the geometric blender makes of them; see `blend_sample`."""
+    """Return the views of one instant by themselves, and what the geometric blender makes of them.
+
+    See `blend_sample`.
+    """
     options = OnlineOptions(temporal=False, compensated=False)
     if device == "cpu":
         recorder = _Recorder(GeometricBlender())
@@ -132,11 +145,20 @@ def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
     from ggvs_eval.compute_device import compute_device
 
     sampled_maps = DEVICE_PARTS["training samples"]
-    maps, sources, target = sampled_maps(instant, options, compute_device(device)), instant.sources, instant.target
+    maps, sources, target = (
+        sampled_maps(instant, options, compute_device(device)),
+        instant.sources,
+        instant.target,
+    )
     order = sorted(range(len(sources)), key=lambda k: nearness(sources[k].camera, target))
-    cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)
+    cameras, shares = (
+        tuple(sources[k].camera for k in order),
+        tuple(sources[k].share for k in order),
+    )
     of_views = {name: maps[name][order] for name in OF_VIEWS}
-    return RawViews(target, cameras, **of_views, fused_depth=maps["fused_depth"], shares=shares), maps["geometric"]
+    return RawViews(
+        target, cameras, **of_views, fused_depth=maps["fused_depth"], shares=shares
+    ), maps["geometric"]
 
 
 class _Recorder:
@@ -157,7 +179,10 @@ class _Recorder:
 
 def raw_views(inputs: BlendingInputs) -> RawViews:
     """Return the views of one instant, splats and warps side by side."""
-    target, sources = inputs.instant.target, [inputs.instant.sources[k] for k in nearest_first(inputs)]
+    target, sources = (
+        inputs.instant.target,
+        [inputs.instant.sources[k] for k in nearest_first(inputs)],
+    )
     splatted, warps = blend_maps(inputs, "none"), []
     for source in sources:
         image = source.image.astype(np.float32) / np.float32(255)
@@ -179,15 +204,23 @@ def raw_views(inputs: BlendingInputs) -> RawViews:
 def write_sample(path: Path, sample: BlendSample) -> None:
     """Write a sample so that a killed process leaves either the whole file or none.
 
-    Colours, coverage and visibility are kept in 8 bit, splatted depth in half precision, relative to the view's
-    `reference_depth`. The fused depth stays as it is, because its normals would show the rounding.
+    Colours, coverage and visibility are kept in 8 bit, splatted depth in half precision, relative
+    to the view's `reference_depth`. The fused depth stays as it is, because its normals would show
+    the rounding.
     """
     views = sample.views
     unit = reference_depth(views.fused_depth, views.target)
     arrays: dict[str, Any] = {name: quantise(getattr(views, name)) for name in IN_8_BIT}
     arrays |= camera_arrays((views.target, *views.sources))
-    arrays |= {"unit": np.float64(unit), "depths": (views.depths / np.float32(unit)).astype(np.float16)}
-    arrays |= {"fused_depth": views.fused_depth, "truth": sample.truth, "geometric": sample.geometric}
+    arrays |= {
+        "unit": np.float64(unit),
+        "depths": (views.depths / np.float32(unit)).astype(np.float16),
+    }
+    arrays |= {
+        "fused_depth": views.fused_depth,
+        "truth": sample.truth,
+        "geometric": sample.geometric,
+    }
     write_arrays(path, arrays)
 
 
@@ -223,7 +256,9 @@ class BlendKind(SampleKind[BlendSample]):
         """See `blend_sample`."""
         return blend_sample(maker.instant(target, sources), maker.image(target), self.device)
 
-    def cropped(self, sample: BlendSample, left: int, top: int, width: int, height: int) -> BlendSample:
+    def cropped(
+        self, sample: BlendSample, left: int, top: int, width: int, height: int
+    ) -> BlendSample:
         """Return a window of all that belongs to the target view."""
         return sample.cropped(left, top, width, height)
 
@@ -238,7 +273,9 @@ class BlendKind(SampleKind[BlendSample]):
 
 @dataclass(frozen=True)
 class InstantKind(SampleKind[InstantSample]):
-    """Instants as a method is shown them, with the depth of its sources or with none, and the target's image."""
+    """Instants as a method is shown them, with the depth of its sources or with none, and the
+    target's image.
+    """
 
     depth: bool = True
     folders: ClassVar = {"rooms": ("instants", 1), "captures": ("capture-instants", 1)}
@@ -250,10 +287,24 @@ class InstantKind(SampleKind[InstantSample]):
         views = []
         for source in sources:
             unknown = np.zeros((source.height, source.width), np.float32)
-            views.append(SourceView(source, maker.image(source), unknown, unknown))
-        return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.image(target))
+            views.append(
+                SourceView(
+                    camera=source, image=maker.image(source), depth=unknown, confidence=unknown
+                )
+            )
+        return InstantSample(
+            Instant(
+                index=0,
+                target=target,
+                sources=tuple(views),
+                units_per_metre=maker.capture.units_per_metre,
+            ),
+            maker.image(target),
+        )
 
-    def cropped(self, sample: InstantSample, left: int, top: int, width: int, height: int) -> InstantSample:
+    def cropped(
+        self, sample: InstantSample, left: int, top: int, width: int, height: int
+    ) -> InstantSample:
         """Return a window of the target, sources cut to what it can show of them."""
         return sample.cropped(left, top, width, height).focused()
 

@@ -1,4 +1,6 @@
-"""Samples on disk: their sources, the kinds that are made of them, and the pool that keeps both together."""
+"""Samples on disk: their sources, the kinds that are made of them, and the pool that keeps both
+together.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -16,16 +18,24 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.engine import run_all
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, check_measured_depth
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    DepthEstimator,
+    DepthOptions,
+    check_depth,
+    check_measured_depth,
+)
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.tasks.task import FileTask
 
 
 class SampleMaker:
-    """Views of one instant of a capture, depth as `prepare` makes it; what several targets share is computed once.
+    """Views of one instant of a capture, depth as `prepare` makes it.
+
+    What several targets share is computed once.
 
     Args:
-        options: how depth is computed by a matcher, or filtered where the camera has a sensor. The target takes no part in it.
+        options: how depth is computed by a matcher, or filtered where the camera has a sensor. The
+            target takes no part in it.
     """
 
     def __init__(self, capture: Capture, options: DepthOptions, frame: int = 0) -> None:
@@ -36,10 +46,20 @@ class SampleMaker:
         self._depths: dict[tuple[str, ...], DepthMap] = {}
 
     def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
-        """Return what a method is shown of a target and its K source cameras, the target none of them."""
+        """Return what a method is shown of a target and its K source cameras, the target none of
+        them.
+        """
         depths = [(source, self._depth(source, target)) for source in sources]
-        views = tuple(self._view(source, depth, depths[:k] + depths[k + 1 :]) for k, (source, depth) in enumerate(depths))
-        return Instant(self._frame, target, views, self.capture.units_per_metre)
+        views = tuple(
+            self._view(source, depth, depths[:k] + depths[k + 1 :])
+            for k, (source, depth) in enumerate(depths)
+        )
+        return Instant(
+            index=self._frame,
+            target=target,
+            sources=views,
+            units_per_metre=self.capture.units_per_metre,
+        )
 
     def image(self, camera: Camera) -> Image8:
         """Return the image that a camera took."""
@@ -50,24 +70,38 @@ class SampleMaker:
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
         """Return the depth of a source camera, measured or found without the target."""
         sensor = self._sensor(source)
-        partners = [] if sensor else self._options.choose_partners(source, self.capture.cameras, {target.name})
+        partners = (
+            []
+            if sensor
+            else self._options.choose_partners(source, self.capture.cameras, {target.name})
+        )
         key = (source.name, *(partner.name for partner in partners))
         if key not in self._depths:
             if sensor is not None:
-                self._depths[key] = SensorDepthEstimator(source, sensor).at(self._frame, self.image(source))
+                self._depths[key] = SensorDepthEstimator(source, sensor).at(
+                    self._frame, self.image(source)
+                )
             else:
                 estimator = DepthEstimator(source, partners, self._options)
-                self._depths[key] = estimator.estimate(self.image(source), [self.image(partner) for partner in partners])
+                self._depths[key] = estimator.estimate(
+                    self.image(source), [self.image(partner) for partner in partners]
+                )
         return self._depths[key]
 
-    def _view(self, source: Camera, depth_map: DepthMap, partners: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
-        """Return a source, its depth checked against that of the others, as it is prepared for a view."""
+    def _view(
+        self, source: Camera, depth_map: DepthMap, partners: Sequence[tuple[Camera, DepthMap]]
+    ) -> SourceView:
+        """Return a source, its depth checked against that of the others, as it is prepared for a
+        view.
+        """
         image = self.image(source)
         if self._sensor(source) is None:
             checked = check_depth(source, depth_map, partners, self._options)
         else:
             checked = check_measured_depth(source, image, depth_map, partners, self._options)
-        return SourceView(source, image, checked.depth, checked.confidence)
+        return SourceView(
+            camera=source, image=image, depth=checked.depth, confidence=checked.confidence
+        )
 
     def _sensor(self, source: Camera) -> DepthSource | None:
         return self.capture.extras_of(source.name).depth if self._options.sensor else None
@@ -104,16 +138,24 @@ class SampleSource(Protocol):
         """Contents of the samples, with or without depth, for the model card."""
 
     def describe(self, depth: bool) -> dict[str, object]:
-        """Describe what a sample depends on besides its scene, its number and its kind; folders are named by it."""
+        """Describe what a sample depends on besides its scene, its number and its kind.
+
+        Folders are named by it.
+        """
 
     def file_name(self, number: int) -> str:
         """Return the name of a sample's file, by its scene and its number."""
 
     def groups(self) -> list[list[int]]:
-        """Return the numbers of the samples, those that share depth together: of one capture and one instant."""
+        """Return the numbers of the samples, those that share depth together: of one capture and
+        one instant.
+        """
 
     def opened(self, folder: Path, number: int) -> Capture:
-        """Return the capture of a sample, at its size; `folder` keeps rooms once they are rendered."""
+        """Return the capture of a sample, at its size.
+
+        `folder` keeps rooms once they are rendered.
+        """
 
     def frame(self, number: int) -> int:
         """Return the instant of a sample."""
@@ -122,14 +164,18 @@ class SampleSource(Protocol):
         """Return the target and sources of a sample."""
 
     def kept(self, number: int) -> tuple[int, int, int, int] | None:
-        """Left, top, width and height of the part of a sample that is kept, pixels; None keeps all of it."""
+        """Left, top, width and height of the part of a sample that is kept, pixels.
+
+        None keeps all of it.
+        """
 
 
 class SampleKind(ABC, Generic[Sample]):
     """Kind of sample: how one is made, and its file.
 
     Attributes:
-        folders: beginnings of folders' names, and versions: each counts up whenever equal sources give other samples.
+        folders: beginnings of folders' names, and versions: each counts up whenever equal sources
+            give other samples.
         depth: whether it depends on the depth of its sources.
         device: of the computation and of its depth; another one than ``cpu`` wants NVIDIA Warp.
     """
@@ -155,11 +201,13 @@ class SampleKind(ABC, Generic[Sample]):
         """Write a sample, the whole file or none."""
 
     def folder(self, source: SampleSource) -> str:
-        """Return the name of the folder of a source's samples, by all that they depend on but their scene and their number.
+        """Return the name of the folder of a source's samples, by all that they depend on but their
+        scene and their number.
 
         Reading:
-            Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a training too, and theirs differ
-            in the last ones. The GPU is not recorded, since samples are rounded to 8 bits, where that moves next to nothing.
+            Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a
+            training too, and theirs differ in the last ones. The GPU is not recorded, since samples
+            are rounded to 8 bits, where that moves next to nothing.
         """
         name, version = self.folders[source.origin]
         described = {"version": version, **source.describe(self.depth)}
@@ -169,13 +217,16 @@ class SampleKind(ABC, Generic[Sample]):
 
 
 class SamplePool(Generic[Sample]):
-    """The samples of one kind of some sources, one source after the other, made once and kept on disk.
+    """The samples of one kind of some sources, one source after the other, made once and kept on
+    disk.
 
     Args:
         folder: where rooms and samples are kept; several pools, and several kinds, may share it.
     """
 
-    def __init__(self, folder: Path, kind: SampleKind[Sample], sources: Sequence[SampleSource]) -> None:
+    def __init__(
+        self, folder: Path, kind: SampleKind[Sample], sources: Sequence[SampleSource]
+    ) -> None:
         self.kind = kind
         self.sources = tuple(sources)
         self._folder = folder
@@ -211,7 +262,9 @@ class SamplePool(Generic[Sample]):
 
     def tasks(self) -> list[FileTask]:
         """Return what makes the samples, a task for those that share depth."""
-        return [self._task(source, numbers) for source in self.sources for numbers in source.groups()]
+        return [
+            self._task(source, numbers) for source in self.sources for numbers in source.groups()
+        ]
 
     def _task(self, source: SampleSource, numbers: Sequence[int]) -> FileTask:
         by_name = {source.file_name(number): number for number in numbers}
@@ -234,16 +287,24 @@ class SamplePool(Generic[Sample]):
         run_all(FileTask.run, list(missing), workers, "training views")
 
 
-def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]) -> None:
+def make_samples(
+    source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]
+) -> None:
     """Make samples of one capture and instant."""
-    maker = SampleMaker(capture, DepthRunOptions(source.matcher).options(), source.frame(next(iter(paths))))
+    maker = SampleMaker(
+        capture, DepthRunOptions(source.matcher).options(), source.frame(next(iter(paths)))
+    )
     for number, path in paths.items():
         sample, window = kind.make(maker, *source.draw(capture, number)), source.kept(number)
         kind.write(path, kind.cropped(sample, *window) if window else sample)
 
 
 def _open_and_make(
-    source: SampleSource, kind: SampleKind[Sample], folder: Path, by_name: Mapping[str, int], files: tuple[str, ...]
+    source: SampleSource,
+    kind: SampleKind[Sample],
+    folder: Path,
+    by_name: Mapping[str, int],
+    files: tuple[str, ...],
 ) -> None:
     paths = {by_name[name]: folder / kind.folder(source) / name for name in files}
     make_samples(source, kind, source.opened(folder, next(iter(paths))), paths)
@@ -255,5 +316,6 @@ def require_room(samples: SamplePool[Sample], width: int, height: int) -> None:
         least = source.least_size
         if least[0] < width or least[1] < height:
             raise TrainingError(
-                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; use larger samples or smaller crops"
+                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; use "
+                f"larger samples or smaller crops"
             )

@@ -1,4 +1,6 @@
-"""Data for training and validation of networks: the same views for all, of rooms of many domains and of captures."""
+"""Data for training and validation of networks: the same views for all, of rooms of many domains
+and of captures.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +21,14 @@ from ggvs_eval.contrib.training.samples.capture_source import (
 )
 from ggvs_eval.contrib.training.samples.samples import Sample, SampleKind, SamplePool, SampleSource
 from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.domains import DOMAINS, FIRST_TRAINING_SEED, PLAIN, VALIDATION_SEEDS, domain_options, find_domain
+from ggvs_eval.contrib.worlds.domains import (
+    DOMAINS,
+    FIRST_TRAINING_SEED,
+    PLAIN,
+    VALIDATION_SEEDS,
+    domain_options,
+    find_domain,
+)
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.depth_options import DepthRunOptions
@@ -43,12 +52,13 @@ class RoomPlan:
         other_share: share of the others.
         width: of the images, pixels.
         height: of the images, pixels.
-        wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
+        wide_share: share of the samples whose sources are drawn from twice as many near cameras
+            instead of being the nearest.
         matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.depth.depth_choice`,
             or that of a sensor.
         domain: kind of captures, see `ggvs_eval.contrib.worlds.domains`.
-        window: width and height of the random part of each view that is kept, pixels; None keeps whole views. Large images would
-            fill disks, and a training looks at crops anyway.
+        window: width and height of the random part of each view that is kept, pixels; None keeps
+            whole views. Large images would fill disks, and a training looks at crops anyway.
     """
 
     first_room: int = FIRST_TRAINING_ROOM
@@ -81,15 +91,21 @@ class RoomPlan:
         return range(self.first_room, self.first_room + self.rooms)
 
     def __post_init__(self) -> None:
-        """Refuse rooms that are neither for training nor for validation, and plans without samples."""
+        """Refuse rooms that are neither for training nor for validation, and plans without
+        samples.
+        """
         if not (self.first_room >= FIRST_TRAINING_ROOM or set(self.seeds) <= set(VALIDATION_SEEDS)):
             raise TrainingError(
-                f"rooms {self.seeds.start}..{self.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
-                f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
+                f"rooms {self.seeds.start}..{self.seeds.stop - 1}: wanted seeds from "
+                f"{FIRST_TRAINING_ROOM} on for training, or of "
+                f"{', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
             )
-        if self.window and not (0 < self.window[0] <= self.width and 0 < self.window[1] <= self.height):
+        if self.window and not (
+            0 < self.window[0] <= self.width and 0 < self.window[1] <= self.height
+        ):
             raise TrainingError(
-                f"wanted windows within images of {self.width} x {self.height}, got {self.window}; lower the window"
+                f"wanted windows within images of {self.width} x {self.height}, got {self.window}; "
+                f"lower the window"
             )
         if min(self.rooms, self.targets, self.views) < 1:
             raise TrainingError(f"wanted at least one room, target and view, got {self}")
@@ -103,7 +119,10 @@ class RoomPlan:
         """See `SampleSource`."""
         how = f"depth by {self.matcher}" if depth else "no depth"
         domain = "" if self.domain == PLAIN else f" of domain {self.domain}"
-        return f"{self.count} views of {self.rooms} procedural rooms{domain} (ggvs_eval.contrib.worlds), {how}"
+        return (
+            f"{self.count} views of {self.rooms} procedural rooms{domain} "
+            f"(ggvs_eval.contrib.worlds), {how}"
+        )
 
     def describe(self, depth: bool) -> dict[str, object]:
         """See `SampleSource`."""
@@ -125,7 +144,9 @@ class RoomPlan:
 
     def groups(self) -> list[list[int]]:
         """Return the numbers of each room."""
-        return [list(range(first, first + self.targets)) for first in range(0, self.count, self.targets)]
+        return [
+            list(range(first, first + self.targets)) for first in range(0, self.count, self.targets)
+        ]
 
     def opened(self, folder: Path, number: int) -> Capture:
         """See `film_room`."""
@@ -157,17 +178,24 @@ def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
 
 
 def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
-    """Return a room's options: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
+    """Return a room's options: one instant.
+
+    Training rooms differ in their strengths, validation rooms are as their domain.
+    """
     return domain_options(plan.domain, seed, plan.width, plan.height)
 
 
-def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
-    """Return the target and sources of a room's sample of that number; no target comes twice before every camera has been one.
+def choose_views(
+    capture: Capture, plan: RoomPlan, seed: int, number: int
+) -> tuple[Camera, list[Camera]]:
+    """Return the target and sources of a room's sample of that number.
+
+    No target comes twice before every camera has been one.
 
     Reading:
-        The paper draws inputs and target at random. Half of those here are the nearest cameras, as in the evaluation; the others
-        are drawn from twice as many, so that the network also sees wide gaps. Of a hand-held camera they are drawn as of any
-        RGB-D sequence, see `draw_views`.
+        The paper draws inputs and target at random. Half of those here are the nearest cameras, as
+        in the evaluation; the others are drawn from twice as many, so that the network also sees
+        wide gaps. Of a hand-held camera they are drawn as of any RGB-D sequence, see `draw_views`.
     """
     if is_sequence(capture):
         return _choose_frames(capture, plan, seed, number)
@@ -183,25 +211,47 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
 
 
 def draw_window(plan: RoomPlan, seed: int, number: int) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the part of a room's sample of that number that is kept, pixels."""
+    """Left, top, width and height of the part of a room's sample of that number that is kept,
+    pixels.
+    """
     width, height = plan.least_size
     rng = np.random.default_rng([seed, 88, number])
-    return int(rng.integers(plan.width - width + 1)), int(rng.integers(plan.height - height + 1)), width, height
+    return (
+        int(rng.integers(plan.width - width + 1)),
+        int(rng.integers(plan.height - height + 1)),
+        width,
+        height,
+    )
 
 
-def _choose_frames(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
+def _choose_frames(
+    capture: Capture, plan: RoomPlan, seed: int, number: int
+) -> tuple[Camera, list[Camera]]:
     """Return the target and sources of a hand-held camera's sample."""
     rng, domain = np.random.default_rng([seed, 86, number]), find_domain(plan.domain)
     views = int(rng.choice(plan.other_views)) if rng.random() < plan.other_share else plan.views
-    rule = CapturePlan(plan.targets, views, domain.span, domain.gap, width=plan.width, height=plan.height, matcher=plan.matcher)
+    rule = CapturePlan(
+        targets=plan.targets,
+        views=views,
+        span=domain.span,
+        gap=domain.gap,
+        width=plan.width,
+        height=plan.height,
+        matcher=plan.matcher,
+    )
     return draw_views(capture, rule, f"{plan.domain}{seed}", number)
 
 
-def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
-    """Return a training plan per domain, rendered at the domain's own size; of large images windows of the usual size are kept.
+def domain_plans(
+    domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object
+) -> list[RoomPlan]:
+    """Return a training plan per domain, rendered at the domain's own size.
+
+    Of large images windows of the usual size are kept.
 
     Args:
-        rooms: per domain; of domains whose images are large a third of that, as they take as much time.
+        rooms: per domain; of domains whose images are large a third of that, as they take as much
+            time.
         targets: views per room; of domains whose images are large three times as many.
         shared: further settings that plans share, see `RoomPlan`.
     """
@@ -210,15 +260,33 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
 
 
 def domain_validation_plan(
-    domain: str, views: int = 4, targets: int = 3, seeds: int = 1, matcher: str = "sgbm", size: tuple[int, int] | None = None
+    domain: str,
+    views: int = 4,
+    targets: int = 3,
+    seeds: int = 1,
+    matcher: str = "sgbm",
+    size: tuple[int, int] | None = None,
 ) -> RoomPlan:
-    """Return the views of a domain by which choices may be made, with the sources that an evaluation would take.
+    """Return the views of a domain by which choices may be made, with the sources that an
+    evaluation would take.
 
     Args:
         size: of the images, pixels; the domain's by default.
     """
     first, width, height = VALIDATION_SEEDS[0], *(size or find_domain(domain).size)
-    return RoomPlan(first, seeds, targets, views, (), 0.0, width, height, wide_share=0.0, matcher=matcher, domain=domain)
+    return RoomPlan(
+        first_room=first,
+        rooms=seeds,
+        targets=targets,
+        views=views,
+        other_views=(),
+        other_share=0.0,
+        width=width,
+        height=height,
+        wide_share=0.0,
+        matcher=matcher,
+        domain=domain,
+    )
 
 
 def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
@@ -226,13 +294,19 @@ def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
     if width <= WINDOW[0] and height <= WINDOW[1]:
         return replace(plan, domain=domain, width=width, height=height)
     rooms, targets = max(plan.rooms // LARGE_FACTOR, 1), plan.targets * LARGE_FACTOR
-    return replace(plan, domain=domain, rooms=rooms, targets=targets, width=width, height=height, window=WINDOW)
+    return replace(
+        plan, domain=domain, rooms=rooms, targets=targets, width=width, height=height, window=WINDOW
+    )
 
 
 def _describe_domain(name: str) -> dict[str, Any]:
     """Describe what samples depend on of their domain."""
     domain = find_domain(name)
-    described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
+    described: dict[str, Any] = {
+        "domain": name,
+        "options": dict(domain.options),
+        "strengths": dict(domain.strengths),
+    }
     if domain.hand_held:
         described |= {"frames": [domain.gap, domain.span], "sensor": describe_filter()}
     return described
@@ -241,30 +315,54 @@ def _describe_domain(name: str) -> dict[str, Any]:
 USUAL_VIEWS = 4  # K of most samples, where as many are asked for
 VALIDATION_TARGETS = 2  # per domain
 CAPTURE_TARGETS = 72  # per capture that is learned from
-HELD_BACK = CapturePlan(targets=6, gap=0, span=4)  # of a sequence that is held back: sources as an evaluation would have them
+# of a sequence that is held back: sources as an evaluation would have them
+HELD_BACK = CapturePlan(targets=6, gap=0, span=4)
 
 
-def sample_pools(cache: Path, data: TrainingOptions, kind: SampleKind[Sample]) -> tuple[SamplePool[Sample], SamplePool[Sample]]:
+def sample_pools(
+    cache: Path, data: TrainingOptions, kind: SampleKind[Sample]
+) -> tuple[SamplePool[Sample], SamplePool[Sample]]:
     """Samples to learn from, and those to be validated by; `prepare_samples` makes them."""
-    views, domains, halves = min(USUAL_VIEWS, data.views), data.domains or tuple(DOMAINS), list(_halves(data))
-    learned = capture_sources([half for half, _ in halves], CapturePlan(targets=CAPTURE_TARGETS, views=views))
-    held_back = capture_sources([half for _, half in halves if half is not None], replace(HELD_BACK, views=views))
+    views, domains, halves = (
+        min(USUAL_VIEWS, data.views),
+        data.domains or tuple(DOMAINS),
+        list(_halves(data)),
+    )
+    learned = capture_sources(
+        [half for half, _ in halves], CapturePlan(targets=CAPTURE_TARGETS, views=views)
+    )
+    held_back = capture_sources(
+        [half for _, half in halves if half is not None], replace(HELD_BACK, views=views)
+    )
     training: list[SampleSource] = [*_training_rooms(data, views, domains), *learned]
-    validation: list[SampleSource] = [*(domain_validation_plan(name, views, VALIDATION_TARGETS) for name in domains), *held_back]
+    validation: list[SampleSource] = [
+        *(domain_validation_plan(name, views, VALIDATION_TARGETS) for name in domains),
+        *held_back,
+    ]
     if not training:
-        raise TrainingError("training: wanted rooms or captures, got neither; give --rooms or --captures")
+        raise TrainingError(
+            "training: wanted rooms or captures, got neither; give --rooms or --captures"
+        )
     return SamplePool(cache, kind, training), SamplePool(cache, kind, validation)
 
 
-def prepare_samples(training: SamplePool[Sample], validation: SamplePool[Sample], workers: int) -> None:
-    """Make what is not there yet of both at once, so that no worker waits for the last room of a pool."""
+def prepare_samples(
+    training: SamplePool[Sample], validation: SamplePool[Sample], workers: int
+) -> None:
+    """Make what is not there yet of both at once, so that no worker waits for the last room of a
+    pool.
+    """
     (validation + training).prepare(workers)
 
 
 def _training_rooms(data: TrainingOptions, views: int, domains: tuple[str, ...]) -> list[RoomPlan]:
     """Return a plan per domain, some of its samples with another K."""
     view_counts = tuple(count for count in range(2, data.views + 1) if count != views)
-    shared = {"views": views, "other_views": view_counts, "other_share": 0.4 if view_counts else 0.0}
+    shared = {
+        "views": views,
+        "other_views": view_counts,
+        "other_share": 0.4 if view_counts else 0.0,
+    }
     return domain_plans(domains, data.rooms, data.targets, **shared) if data.rooms else []
 
 

@@ -1,4 +1,6 @@
-"""Filming: the frames of one shot, one after another, in a separate process, and their exact depth."""
+"""Filming: the frames of one shot, one after another, in a separate process, and their
+exact depth.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -30,7 +32,8 @@ CORRELATED_PX = 1.0
 
 
 class DepthWriter:
-    """Writes ``depth`` (T, H, W), float32, world units, and ``frames`` (T,), the video frames they belong to.
+    """Writes ``depth`` (T, H, W), float32, world units, and ``frames`` (T,), the video frames they
+    belong to.
 
     Args:
         path: file to write; nothing is written where no frames are wanted.
@@ -63,7 +66,12 @@ class DepthWriter:
     def __enter__(self) -> "DepthWriter":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._file is not None:
             self._file.close()
 
@@ -79,11 +87,15 @@ def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
 
     path = depth_path(folder, camera)
     if not path.is_file():
-        raise CaptureError(f"{path}: wanted exact depth, got none; film a demo capture with depth_stride > 0")
+        raise CaptureError(
+            f"{path}: wanted exact depth, got none; film a demo capture with depth_stride > 0"
+        )
     with h5py.File(path) as file:
         frames = file["frames"][:].tolist()
         if frame not in frames:
-            raise CaptureError(f"{path}: wanted frame {frame}, depth is kept of {frames}; change depth_stride")
+            raise CaptureError(
+                f"{path}: wanted frame {frame}, depth is kept of {frames}; change depth_stride"
+            )
         return np.asarray(file["depth"][frames.index(frame)])
 
 
@@ -95,8 +107,9 @@ def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
         image_width: of the colour images, pixels, in which the offset is given.
 
     Reading:
-        Offset and rotation are one direction and one axis for the whole sequence, as of a sensor that is mounted wrongly. A
-        positive offset along x shifts the depth map to the right of the image.
+        Offset and rotation are one direction and one axis for the whole sequence, as of a sensor
+        that is mounted wrongly. A positive offset along x shifts the depth map to the right of the
+        image.
     """
     angle, axis = _mounting(options)
     K, pose = camera.K.copy(), camera.world_to_camera.copy()
@@ -108,7 +121,9 @@ def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
 
 
 def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
-    """Depth as the sensor gives it, world units of the rig, 0 if it knows none; exact where the options want no noise.
+    """Depth as the sensor gives it, world units of the rig, 0 if it knows none.
+
+    Exact where the options want no noise.
 
     Args:
         depth: exact, (H, W).
@@ -126,13 +141,16 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
 
 
 def _mounting(options: DemoOptions) -> tuple[float, Array]:
-    """Return the direction of the offset in the image, radians, and axis of the rotation, unit length, (3,)."""
+    """Return the direction of the offset in the image, radians, and axis of the rotation, unit
+    length, (3,).
+    """
     rng = np.random.default_rng([options.seed, 13])
     axis = rng.standard_normal(3)
     return float(rng.uniform(0, 2 * np.pi)), unit(axis)
 
 
-# Kept next to the demo while it is written, then removed: light of the instants, and what layouts put together at the end.
+# Kept next to the demo while it is written, then removed: light of the instants, and what layouts
+# put together at the end.
 PARTS = "parts"
 # Which numbers the noise of a camera's frames and of its background picture begin with.
 FRAME_NOISE, BACKGROUND_NOISE = 3, 5
@@ -178,9 +196,16 @@ class Footage:
             yield Frame(self._expose(picture, noise), picture.foreground, picture.depth)
 
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
-        """Yield all frames; requested depths are written next to the demo, multiplied by a scale."""
+        """Yield all frames; requested depths are written next to the demo, multiplied by a
+        scale.
+        """
         options, name = self.options, self.shot.camera.name
-        with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as writer:
+        with DepthWriter(
+            path=depth_path(folder, name),
+            frames=options.depth_frames,
+            height=options.height,
+            width=options.width,
+        ) as writer:
             for index, frame in enumerate(self.frames()):
                 writer.add(index, frame.depth * np.float32(depth_scale))
                 yield frame
@@ -188,20 +213,28 @@ class Footage:
     def empty_room(self) -> Frame:
         """Return the room without its moving things."""
         picture = self._view.render(lit_room(self.options.seed, self.options.scene).empty())
-        return Frame(self._expose(picture, self._noise(BACKGROUND_NOISE)), picture.foreground, picture.depth)
+        return Frame(
+            self._expose(picture, self._noise(BACKGROUND_NOISE)), picture.foreground, picture.depth
+        )
 
     def noted_camera(self) -> Camera:
-        """The camera to write down, with LLFF's depth range: the 1st and the 99.9th percentile of what its first frame sees."""
+        """The camera to write down, with LLFF's depth range: the 1st and the 99.9th percentile of
+        what its first frame sees.
+        """
         depth = self._view.depth(self.instant(0))
         near, far = np.percentile(depth[depth > 0], [1.0, 99.9])
         return replace(self.shot.noted, near=float(near), far=float(far))
 
     def _render(self, instant: Instant) -> Picture:
-        """Render a picture; if the camera moves while exposing, the mean light of its poses, with the middle one's depth."""
+        """Render a picture; if the camera moves while exposing, the mean light of its poses, with
+        the middle one's depth.
+        """
         if not self.shot.poses:
             return self._view.render(instant)
         lights = [self._view_from(pose).light(instant) for pose in self.shot.poses]
-        linear, covered = (np.asarray(np.mean(values, axis=0), np.float32) for values in zip(*lights, strict=True))
+        linear, covered = (
+            np.asarray(np.mean(values, axis=0), np.float32) for values in zip(*lights, strict=True)
+        )
         return Picture(expose(linear), covered, self._view.depth(instant))
 
     @cached_property
@@ -210,7 +243,12 @@ class Footage:
 
     def _view_from(self, camera: Camera) -> View:
         static = lit_room(self.options.seed, self.options.scene).static
-        return View(static, camera, self.options.supersampling, self.shot.lens)
+        return View(
+            static=static,
+            camera=camera,
+            supersampling=self.options.supersampling,
+            lens=self.shot.lens,
+        )
 
     def _noise(self, stream: int) -> np.random.Generator | None:
         return None if self.shot.sensor is None else self.shot.sensor.noise(stream)
@@ -242,7 +280,9 @@ def light_instant(parts: Path, options: DemoOptions, index: int) -> None:
 def stored_instant(parts: Path, options: DemoOptions, index: int) -> Instant:
     """Return the instant that `light_instant` has stored."""
     with np.load(_light_file(parts, index)) as stored:
-        return lit_room(options.seed, options.scene).recall(index / options.fps, stored["static"], stored["moving"])
+        return lit_room(options.seed, options.scene).recall(
+            index / options.fps, stored["static"], stored["moving"]
+        )
 
 
 def _light_file(parts: Path, index: int) -> Path:

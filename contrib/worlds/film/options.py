@@ -6,11 +6,30 @@ from typing import Literal, get_args
 
 from ggvs_eval.errors import CaptureError
 
-LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd", "meetroom", "technicolor", "immersive", "panoptic"]
+LayoutName = Literal[
+    "dynerf",
+    "enerf-outdoor",
+    "d3dmv",
+    "colmap",
+    "rgbd",
+    "meetroom",
+    "technicolor",
+    "immersive",
+    "panoptic",
+]
 RigName = Literal["rows", "arc", "grid"]
 SceneName = Literal["room", "garden"]
-LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}
-# What came after demos had been written: a demo says nothing of those that are as they were, so that it stays valid.
+LEAST = {
+    "width": 16,
+    "height": 16,
+    "n_frames": 1,
+    "cameras_per_row": 2,
+    "supersampling": 1,
+    "path_poses": 0,
+    "depth_stride": 0,
+}
+# What came after demos had been written: a demo says nothing of those that are as they were, so
+# that it stays valid.
 LATER = (
     "rig",
     "scene",
@@ -45,28 +64,36 @@ class DemoOptions:
         fps: frame rate, frames per second.
         cameras_per_row: cameras in each of the two rows; rgbd has one camera, cam00.
         noise_sigma_255: standard deviation of sensor noise per pixel and frame, 0..255; 0: none.
-        exposure_spread: standard deviation of camera gains; half as much for colour balance; 0: none.
+        exposure_spread: standard deviation of camera gains; half as much for colour balance; 0:
+            none.
         crf: x264 rate factor of the videos.
         supersampling: rays per pixel along each side.
         path_poses: poses of the true camera path next to the videos of dynerf and colmap; 0: none.
         depth_stride: frames per exact depth map; 0: no depth.
         camera_gain: fault: camera and brightness factor.
         frame_offset: fault: camera and offset; its frame t shows instant t + offset.
-        calibration_error_px: fault: standard deviation of rotation errors, pixels at the image centre.
+        calibration_error_px: fault: standard deviation of rotation errors, pixels at the image
+            centre.
         focal_error: fault: camera and factor on its recorded focal length.
-        rig: rows: DyNeRF's two rows on an arc; arc: one wide row (ENeRF-Outdoor); grid: two rows (D3DMV).
+        rig: rows: DyNeRF's two rows on an arc; arc: one wide row (ENeRF-Outdoor); grid: two rows
+            (D3DMV).
         scene: living room, or garden with thin foliage.
         spacing: factor on the camera distances of rows and grids.
         sway: factor on the rotation of rgbd's hand-held camera.
         shutter_s: rgbd: exposure time of the hand-held camera, seconds; 0: no motion blur.
         defocus_px: radius of the circle of confusion, pixels; 0: sharp.
-        processing: strength of camera processing (shot noise, denoising, sharpening); 0: none, 1: a phone.
+        processing: strength of camera processing (shot noise, denoising, sharpening); 0: none, 1: a
+            phone.
         jpeg_quality: JPEG quality of the cameras' pictures, 1..100; 0: no compression.
-        vignetting: darkening of corners, share of sRGB values; lenses of a rig vary by a fifth; 0: none.
-        depth_offset_px: rgbd: unrecorded shift of the depth sensor, colour pixels, in a random direction.
-        depth_rotation_rad: rgbd: unrecorded rotation of the depth sensor, radians, about a random axis.
+        vignetting: darkening of corners, share of sRGB values; lenses of a rig vary by a fifth; 0:
+            none.
+        depth_offset_px: rgbd: unrecorded shift of the depth sensor, colour pixels, in a random
+            direction.
+        depth_rotation_rad: rgbd: unrecorded rotation of the depth sensor, radians, about a random
+            axis.
         depth_delay_s: rgbd: unrecorded lead of the depth sensor over the colour camera, seconds.
-        depth_noise: rgbd: standard deviation of depth at 1 m, metres; grows with squared depth, blurs edges.
+        depth_noise: rgbd: standard deviation of depth at 1 m, metres; grows with squared depth,
+            blurs edges.
         noise_seed: seed of sensor noise alone, for another take of the same room.
     """
 
@@ -106,21 +133,30 @@ class DemoOptions:
         """Refuse options that cannot be rendered."""
         for kind, names in (("layout", LayoutName), ("rig", RigName), ("scene", SceneName)):
             if getattr(self, kind) not in get_args(names):
-                raise CaptureError(f"demo: wanted a {kind} of {', '.join(get_args(names))}, got {getattr(self, kind)!r}")
+                raise CaptureError(
+                    f"demo: wanted a {kind} of {', '.join(get_args(names))}, got "
+                    f"{getattr(self, kind)!r}"
+                )
         for name, least in LEAST.items():
             if getattr(self, name) < least:
-                raise CaptureError(f"demo: {name} must be at least {least}, got {getattr(self, name)}")
+                raise CaptureError(
+                    f"demo: {name} must be at least {least}, got {getattr(self, name)}"
+                )
         if self.width % 2 or self.height % 2:
-            raise CaptureError(f"demo: H.264 wants an even size, got {self.width} x {self.height}; add one pixel")
+            raise CaptureError(
+                f"demo: H.264 wants an even size, got {self.width} x {self.height}; add one pixel"
+            )
         width, height = SHAPES.get(self.layout, (self.width, self.height))
         if self.width * height != self.height * width:
             raise CaptureError(
-                f"demo: pictures of {self.layout} have the shape of {width} x {height}, got {self.width} x {self.height}; "
-                f"use {width // 4} x {height // 4}"
+                f"demo: pictures of {self.layout} have the shape of {width} x {height}, got "
+                f"{self.width} x {self.height}; use {width // 4} x {height // 4}"
             )
         if self.fps <= 0 or self.noise_sigma_255 < 0 or self.exposure_spread < 0:
             values = f"{self.fps:g}, {self.noise_sigma_255:g}, {self.exposure_spread:g}"
-            raise CaptureError(f"demo: fps must be positive, noise and exposure spread not negative, got {values}")
+            raise CaptureError(
+                f"demo: fps must be positive, noise and exposure spread not negative, got {values}"
+            )
         self._check_faults()
         self._check_later()
 
@@ -129,15 +165,24 @@ class DemoOptions:
         for name in numbers:
             least = 1e-3 if name == "spacing" else 0.0
             if not least <= getattr(self, name) < math.inf:
-                raise CaptureError(f"demo: {name} must be at least {least:g}, got {getattr(self, name):g}")
+                raise CaptureError(
+                    f"demo: {name} must be at least {least:g}, got {getattr(self, name):g}"
+                )
         if self.vignetting > 0.5:
-            raise CaptureError(f"demo: vignetting must be at most 0.5, corners half as bright, got {self.vignetting:g}")
+            raise CaptureError(
+                f"demo: vignetting must be at most 0.5, corners half as bright, got "
+                f"{self.vignetting:g}"
+            )
         if self.jpeg_quality > 100:
-            raise CaptureError(f"demo: jpeg_quality must be 1 to 100, or 0 for none, got {self.jpeg_quality}")
+            raise CaptureError(
+                f"demo: jpeg_quality must be 1 to 100, or 0 for none, got {self.jpeg_quality}"
+            )
         if self.layout != "rgbd":
             for name in RGBD_ONLY:
                 if getattr(self, name):
-                    raise CaptureError(f"demo: {name} needs layout rgbd, got {self.layout}; drop it")
+                    raise CaptureError(
+                        f"demo: {name} needs layout rgbd, got {self.layout}; drop it"
+                    )
 
     def _check_faults(self) -> None:
         for option in ("camera_gain", "frame_offset", "focal_error"):
@@ -145,22 +190,42 @@ class DemoOptions:
         for option, pairs in (("camera_gain", self.camera_gain), ("focal_error", self.focal_error)):
             for name, factor in pairs:
                 if not 0 < factor < math.inf:
-                    raise CaptureError(f"demo: {option} of {name} must be a positive factor, got {factor:g}; 1 changes nothing")
+                    raise CaptureError(
+                        f"demo: {option} of {name} must be a positive factor, got {factor:g}; 1 "
+                        f"changes nothing"
+                    )
         for name, offset in self.frame_offset:
             if not isinstance(offset, int):
-                raise CaptureError(f"demo: frame_offset of {name} must be a whole number of frames, got {offset}")
+                raise CaptureError(
+                    f"demo: frame_offset of {name} must be a whole number of frames, got {offset}"
+                )
         if self.frame_offset and self.layout == "rgbd":
-            raise CaptureError("demo: frame_offset wants cameras that film together, rgbd has one at one instant; drop it")
+            raise CaptureError(
+                "demo: frame_offset wants cameras that film together, rgbd has one at one instant; "
+                "drop it"
+            )
         if not 0 <= self.calibration_error_px < math.inf:
-            raise CaptureError(f"demo: calibration_error_px must not be negative, got {self.calibration_error_px:g}")
+            raise CaptureError(
+                f"demo: calibration_error_px must not be negative, got "
+                f"{self.calibration_error_px:g}"
+            )
 
     def _check_names(self, option: str, names: list[str]) -> None:
         unknown = [name for name in names if name not in self.camera_names]
         if unknown:
-            cameras = f"{self.camera_names[0]}..{self.camera_names[-1]}" if len(self.camera_names) > 1 else self.camera_names[0]
-            raise CaptureError(f"demo: {option} names {', '.join(unknown)}, the cameras are {cameras}; correct the name")
+            cameras = (
+                f"{self.camera_names[0]}..{self.camera_names[-1]}"
+                if len(self.camera_names) > 1
+                else self.camera_names[0]
+            )
+            raise CaptureError(
+                f"demo: {option} names {', '.join(unknown)}, the cameras are {cameras}; correct "
+                f"the name"
+            )
         if len(set(names)) < len(names):
-            raise CaptureError(f"demo: {option} wants each camera once, got {', '.join(names)}; keep one value")
+            raise CaptureError(
+                f"demo: {option} wants each camera once, got {', '.join(names)}; keep one value"
+            )
 
     @property
     def camera_names(self) -> list[str]:
@@ -170,7 +235,10 @@ class DemoOptions:
 
     @property
     def recording(self) -> tuple[int, ...]:
-        """Last numbers of the seeds of noise; none in the first recording, so that older demos keep their bits."""
+        """Last numbers of the seeds of noise.
+
+        None in the first recording, so that older demos keep their bits.
+        """
         return (self.noise_seed,) if self.noise_seed else ()
 
     @property

@@ -54,7 +54,8 @@ class Layout:
     Attributes:
         units_per_metre: world units of its calibration per metre.
         shots: what is rendered, in the order of the calibration.
-        write_shot: writes the frames of one shot into the folder, in any process; gives the camera as it is to be noted.
+        write_shot: writes the frames of one shot into the folder, in any process; gives the camera
+            as it is to be noted.
         finish: writes what wants all cameras, once all shots are written.
         files: names of files that every complete demo has.
     """
@@ -67,13 +68,67 @@ class Layout:
 
 
 LAYOUTS: dict[LayoutName, Layout] = {
-    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, write_dynerf, finish_dynerf, dynerf_files),
-    "enerf-outdoor": Layout(1.0, distorted_shots, write_enerf, finish_enerf, enerf_files),
-    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, write_d3dmv, finish_d3dmv, d3dmv_files),
-    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, write_colmap, finish_colmap, colmap_files),
-    "rgbd": Layout(1.0, hand_held_shots, write_rgbd, finish_rgbd, rgbd_files),
-    "meetroom": Layout(UNITS_PER_METRE, rig_shots, write_meetroom, finish_meetroom, meetroom_files),
-    "technicolor": Layout(UNITS_PER_METRE, rig_shots, write_technicolor, finish_technicolor, technicolor_files),
-    "immersive": Layout(1.0, fisheye_shots, write_immersive, finish_immersive, immersive_files),
-    "panoptic": Layout(1.0, rig_shots, write_panoptic, finish_panoptic, panoptic_files),
+    "dynerf": Layout(
+        units_per_metre=UNITS_PER_METRE,
+        shots=rig_and_path_shots,
+        write_shot=write_dynerf,
+        finish=finish_dynerf,
+        files=dynerf_files,
+    ),
+    "enerf-outdoor": Layout(
+        units_per_metre=1.0,
+        shots=distorted_shots,
+        write_shot=write_enerf,
+        finish=finish_enerf,
+        files=enerf_files,
+    ),
+    "d3dmv": Layout(
+        units_per_metre=UNITS_PER_METRE,
+        shots=rig_shots,
+        write_shot=write_d3dmv,
+        finish=finish_d3dmv,
+        files=d3dmv_files,
+    ),
+    "colmap": Layout(
+        units_per_metre=UNITS_PER_METRE,
+        shots=rig_and_path_shots,
+        write_shot=write_colmap,
+        finish=finish_colmap,
+        files=colmap_files,
+    ),
+    "rgbd": Layout(
+        units_per_metre=1.0,
+        shots=hand_held_shots,
+        write_shot=write_rgbd,
+        finish=finish_rgbd,
+        files=rgbd_files,
+    ),
+    "meetroom": Layout(
+        units_per_metre=UNITS_PER_METRE,
+        shots=rig_shots,
+        write_shot=write_meetroom,
+        finish=finish_meetroom,
+        files=meetroom_files,
+    ),
+    "technicolor": Layout(
+        units_per_metre=UNITS_PER_METRE,
+        shots=rig_shots,
+        write_shot=write_technicolor,
+        finish=finish_technicolor,
+        files=technicolor_files,
+    ),
+    "immersive": Layout(
+        units_per_metre=1.0,
+        shots=fisheye_shots,
+        write_shot=write_immersive,
+        finish=finish_immersive,
+        files=immersive_files,
+    ),
+    "panoptic": Layout(
+        units_per_metre=1.0,
+        shots=rig_shots,
+        write_shot=write_panoptic,
+        finish=finish_panoptic,
+        files=panoptic_files,
+    ),
 }

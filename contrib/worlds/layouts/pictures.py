@@ -1,4 +1,6 @@
-"""Layouts of pictures: Technicolor's, Panoptic Sports', that of ScanNet's exporter, and Deep 3D Mask Volume's single file."""
+"""Layouts of pictures: Technicolor's, Panoptic Sports', that of ScanNet's exporter, and Deep 3D
+Mask Volume's single file.
+"""
 
 import json
 from collections.abc import Sequence
@@ -23,7 +25,12 @@ from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.synthetic.d3dmv_scene import SCENE, write_scene
 
 # Full chroma resolution: what is lost is little and the same in every hue.
-JPEG = [cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+JPEG = [
+    cv2.IMWRITE_JPEG_QUALITY,
+    97,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+]
 
 
 def write_jpeg(path: Path, image: Image8) -> None:
@@ -57,8 +64,9 @@ def finish_technicolor(folder: Path, options: DemoOptions, cameras: Sequence[Cam
     """Write ``cameras_parameters.txt``, and ``depth_range.toml``, since that has no depth.
 
     Reading:
-        The file has no size: its numbers are those of pictures of 2048 x 1088, regardless of the demo's shape; the aspect ratio
-        ar takes what the shape of the pictures leaves between focal lengths along rows and columns.
+        The file has no size: its numbers are those of pictures of 2048 x 1088, regardless of the
+        demo's shape; the aspect ratio ar takes what the shape of the pictures leaves between focal
+        lengths along rows and columns.
     """
     from scipy.spatial.transform import Rotation
 
@@ -67,9 +75,22 @@ def finish_technicolor(folder: Path, options: DemoOptions, cameras: Sequence[Cam
         scale_x, scale_y = np.array(CALIBRATED_SIZE) / camera.size
         fx, fy = camera.K[0, 0] * scale_x, camera.K[1, 1] * scale_y
         qx, qy, qz, qw = Rotation.from_matrix(camera.rotation).as_quat()
-        row = [fx, camera.K[0, 2] * scale_x, camera.K[1, 2] * scale_y, fy / fx, 0.0, qw, qx, qy, qz, *camera.translation]
+        row = [
+            fx,
+            camera.K[0, 2] * scale_x,
+            camera.K[1, 2] * scale_y,
+            fy / fx,
+            0.0,
+            qw,
+            qx,
+            qy,
+            qz,
+            *camera.translation,
+        ]
         lines.append(" ".join(repr(float(value)) for value in row))
-    write_depth_range(folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras))
+    write_depth_range(
+        folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+    )
     (folder / PARAMETERS).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -78,7 +99,11 @@ def technicolor_files(options: DemoOptions) -> list[str]:
     return [
         DEPTH_RANGE_FILE,
         PARAMETERS,
-        *(_picture(index, name) for name in options.camera_names for index in range(options.n_frames)),
+        *(
+            _picture(index, name)
+            for name in options.camera_names
+            for index in range(options.n_frames)
+        ),
     ]
 
 
@@ -102,12 +127,18 @@ def finish_panoptic(folder: Path, options: DemoOptions, cameras: Sequence[Camera
     for file, is_test in zip(METAS, (False, True), strict=True):
         views = [camera for index, camera in enumerate(cameras) if (index % EVERY == 1) == is_test]
         (folder / file).write_text(json.dumps(_meta(views, options.n_frames)), encoding="utf-8")
-    write_depth_range(folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras))
+    write_depth_range(
+        folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+    )
 
 
 def panoptic_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
-    images = [f"{IMAGES}/{_image(name, index)}" for name in options.camera_names for index in range(options.n_frames)]
+    images = [
+        f"{IMAGES}/{_image(name, index)}"
+        for name in options.camera_names
+        for index in range(options.n_frames)
+    ]
     return [DEPTH_RANGE_FILE, *METAS, *images]
 
 
@@ -140,13 +171,18 @@ def write_rgbd(folder: Path, footage: Footage) -> Camera:
     """Write colour, depth and pose of one frame; gives the camera to note, metres.
 
     Reading:
-        The depth camera has half the colour camera's resolution, its place and its view; its pixels are looked at by themselves.
+        The depth camera has half the colour camera's resolution, its place and its view; its pixels
+        are looked at by themselves.
     """
     camera, options = in_metres(footage.noted_camera()), footage.options
     write_jpeg(folder / "color" / f"{camera.name}.jpg", next(footage.frames()).image)
-    sensor = misplaced(options, depth_camera(footage.shot.depth_pose or footage.shot.camera), options.width)
+    sensor = misplaced(
+        options, depth_camera(footage.shot.depth_pose or footage.shot.camera), options.width
+    )
     depth = measured(options, render_depth(footage.instant(0), sensor), int(camera.name))
-    millimetres = np.minimum(np.rint(depth.astype(np.float64) * MILLIMETRES_PER_UNIT), LARGEST_MM).astype(np.uint16)
+    millimetres = np.minimum(
+        np.rint(depth.astype(np.float64) * MILLIMETRES_PER_UNIT), LARGEST_MM
+    ).astype(np.uint16)
     write_grey_png(folder / "depth" / f"{camera.name}.png", millimetres)
     _write_matrix(folder / "pose" / f"{camera.name}.txt", _camera_to_world(camera))
     return camera
@@ -170,8 +206,17 @@ def depth_camera(colour: Camera) -> Camera:
 def rgbd_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
     kinds = (("color", "jpg"), ("depth", "png"), ("pose", "txt"))
-    frames = [f"{folder}/{index}.{kind}" for folder, kind in kinds for index in range(options.n_frames)]
-    return [*(f"intrinsic/{part}_{kind}.txt" for part in ("intrinsic", "extrinsic") for kind in ("color", "depth")), *frames]
+    frames = [
+        f"{folder}/{index}.{kind}" for folder, kind in kinds for index in range(options.n_frames)
+    ]
+    return [
+        *(
+            f"intrinsic/{part}_{kind}.txt"
+            for part in ("intrinsic", "extrinsic")
+            for kind in ("color", "depth")
+        ),
+        *frames,
+    ]
 
 
 def _camera_to_world(camera: Camera) -> Array:
@@ -191,7 +236,10 @@ POSE_SCALE = 2
 
 
 def write_d3dmv(folder: Path, footage: Footage) -> Camera:
-    """Write the frames of one camera to separate files and its exact depth; gives the camera to note."""
+    """Write the frames of one camera to separate files and its exact depth.
+
+    Gives the camera to note.
+    """
     camera, options = footage.noted_camera(), footage.options
     size = (options.n_frames, options.height, options.width)
     rgb = open_memmap(_part(folder, camera, "rgb"), "w+", np.uint8, (*size, 3))
@@ -203,9 +251,14 @@ def write_d3dmv(folder: Path, footage: Footage) -> Camera:
 
 def finish_d3dmv(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
     """Join the frames of all cameras in ``scene000.h5`` and write ``scene000_pb.npy``."""
-    rgb, alpha = ([np.load(_part(folder, camera, key), mmap_mode="r") for camera in cameras] for key in ("rgb", "alpha"))
+    rgb, alpha = (
+        [np.load(_part(folder, camera, key), mmap_mode="r") for camera in cameras]
+        for key in ("rgb", "alpha")
+    )
     write_scene(folder / SCENE, rgb, alpha)
-    large = [camera.resized(POSE_SCALE * camera.width, POSE_SCALE * camera.height) for camera in cameras]
+    large = [
+        camera.resized(POSE_SCALE * camera.width, POSE_SCALE * camera.height) for camera in cameras
+    ]
     write_llff_poses(folder / SCENE_POSES, [llff_pose(camera) for camera in large])
 
 

@@ -1,4 +1,6 @@
-"""Layouts of videos: DyNeRF's and COLMAP's with a true camera path, MeetRoom's, Google Immersive's."""
+"""Layouts of videos: DyNeRF's and COLMAP's with a true camera path, MeetRoom's, Google
+Immersive's.
+"""
 
 import json
 from collections.abc import Sequence
@@ -33,7 +35,10 @@ POSES = "poses_bounds.npy"
 
 
 def write_dynerf(folder: Path, footage: Footage) -> Camera:
-    """Write ``camXX.mp4`` with its exact depth, or one image of the path; gives the camera to note."""
+    """Write ``camXX.mp4`` with its exact depth, or one image of the path.
+
+    Gives the camera to note.
+    """
     camera = footage.noted_camera()
     if footage.shot.sensor is None:
         write_image(folder / "path" / "images" / f"{camera.name}.png", next(footage.frames()).image)
@@ -50,7 +55,9 @@ def finish_dynerf(folder: Path, options: DemoOptions, cameras: Sequence[Camera])
     write_path_poses(folder, on_path)
 
 
-def split_path(options: DemoOptions, cameras: Sequence[Camera]) -> tuple[Sequence[Camera], Sequence[Camera]]:
+def split_path(
+    options: DemoOptions, cameras: Sequence[Camera]
+) -> tuple[Sequence[Camera], Sequence[Camera]]:
     """Return the cameras of the rig and those of the path."""
     count = len(options.camera_names)
     return cameras[:count], cameras[count:]
@@ -75,7 +82,9 @@ LEAST_VIEWS = 2
 
 
 def surface_points(options: DemoOptions) -> Array:
-    """Return the points on what never moves, as many from the view of each camera of the rig, world units, (P, 3)."""
+    """Return the points on what never moves, as many from the view of each camera of the rig, world
+    units, (P, 3).
+    """
     static, cameras = lit_room(options.seed, options.scene).static, rig_of(options)
     rng = np.random.default_rng([options.seed, 10])
     points = []
@@ -89,7 +98,8 @@ def surface_points(options: DemoOptions) -> Array:
 
 
 def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) -> Sightings:
-    """Return the points that a camera sees at an instant: inside its picture and nothing before them.
+    """Return the points that a camera sees at an instant: inside its picture and nothing before
+    them.
 
     Args:
         points: world units, (P, 3).
@@ -108,7 +118,10 @@ def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) ->
 
 
 def write_colmap(folder: Path, footage: Footage) -> Camera:
-    """Write ``camXX.mp4`` with its exact depth and its sightings, or one image of the path; gives the camera to note."""
+    """Write ``camXX.mp4`` with its exact depth and its sightings, or one image of the path.
+
+    Gives the camera to note.
+    """
     if footage.shot.sensor is not None:
         points, image = surface_points(footage.options), next(footage.frames()).image
         camera_sightings = sightings(points, footage.shot.camera, footage.instant(0), image)
@@ -120,13 +133,16 @@ def finish_colmap(folder: Path, options: DemoOptions, cameras: Sequence[Camera])
     """Write ``sparse/0/{cameras,images,points3D}.txt`` and the poses of the path.
 
     Reading:
-        Sightings are those of the true cameras at the first frame; only the cameras are written down with an error. Points that
-        a single camera sees are left out, as it could not triangulate them.
+        Sightings are those of the true cameras at the first frame; only the cameras are written
+        down with an error. Points that a single camera sees are left out, as it could not
+        triangulate them.
     """
     on_rig, on_path = split_path(options, cameras)
     points = surface_points(options)
     by_camera = [_read_part(folder, camera) for camera in on_rig]
-    views = np.bincount(np.concatenate([sights.point for sights in by_camera]), minlength=len(points))
+    views = np.bincount(
+        np.concatenate([sights.point for sights in by_camera]), minlength=len(points)
+    )
     sightings = [sights.rows(views[sights.point] >= LEAST_VIEWS) for sights in by_camera]
     write_model(folder / MODEL, on_rig, sightings, points)
     write_path_poses(folder, on_path)
@@ -134,7 +150,10 @@ def finish_colmap(folder: Path, options: DemoOptions, cameras: Sequence[Camera])
 
 def colmap_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
-    return [*(f"{MODEL}/{name}" for name in FILES), *(f"{name}.mp4" for name in options.camera_names)]
+    return [
+        *(f"{MODEL}/{name}" for name in FILES),
+        *(f"{name}.mp4" for name in options.camera_names),
+    ]
 
 
 def _sightings_part(folder: Path, camera: Camera) -> Path:
@@ -169,10 +188,15 @@ def _video(name: str) -> str:
 
 
 def write_immersive(folder: Path, footage: Footage) -> Camera:
-    """Write the fisheye video of one camera and its exact depth, which is undistorted; gives the camera to note, metres."""
+    """Write the fisheye video of one camera and its exact depth, which is undistorted.
+
+    Gives the camera to note, metres.
+    """
     options = footage.options
     images = (frame.image for frame in footage.frames_keeping_depth(folder, 1 / UNITS_PER_METRE))
-    write_video(folder / f"{immersive_name(footage.shot.camera.name)}.mp4", images, options.fps, options.crf)
+    write_video(
+        folder / f"{immersive_name(footage.shot.camera.name)}.mp4", images, options.fps, options.crf
+    )
     return in_metres(footage.noted_camera())
 
 
@@ -195,13 +219,19 @@ def finish_immersive(folder: Path, options: DemoOptions, cameras: Sequence[Camer
                 "projection_type": "fisheye",
             }
         )
-    write_depth_range(folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras))
+    write_depth_range(
+        folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+    )
     (folder / MODELS).write_text(json.dumps(models, indent=1) + "\n", encoding="utf-8")
 
 
 def immersive_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
-    return [DEPTH_RANGE_FILE, MODELS, *(f"{immersive_name(name)}.mp4" for name in options.camera_names)]
+    return [
+        DEPTH_RANGE_FILE,
+        MODELS,
+        *(f"{immersive_name(name)}.mp4" for name in options.camera_names),
+    ]
 
 
 def immersive_name(name: str) -> str:

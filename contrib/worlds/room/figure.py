@@ -1,11 +1,22 @@
-"""A person made of joints: torso, head, two-segment arms and legs, who gestures with one arm and works with the other."""
+"""A person made of joints: torso, head, two-segment arms and legs, who gestures with one arm and
+works with the other.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.contrib.worlds.room.surfaces import Material, Surface, ellipsoid, moved, rod, rotation, sheet, translation
+from ggvs_eval.contrib.worlds.room.surfaces import (
+    Material,
+    Surface,
+    ellipsoid,
+    moved,
+    rod,
+    rotation,
+    sheet,
+    translation,
+)
 from ggvs_eval.contrib.worlds.room.textures import Colour, fabric, mottled, plain
 from ggvs_eval.kernels.portable import cos, power, product, sin, unit
 
@@ -21,8 +32,18 @@ TRUNK = (
     (1.455, 0.1, 0.08),
     (1.49, 0.06, 0.06),
 )
-SKIN: tuple[Colour, ...] = ((0.85, 0.64, 0.53), (0.67, 0.46, 0.34), (0.45, 0.3, 0.22), (0.9, 0.72, 0.62))
-HAIR: tuple[Colour, ...] = ((0.13, 0.1, 0.08), (0.36, 0.22, 0.12), (0.6, 0.45, 0.25), (0.45, 0.43, 0.42))
+SKIN: tuple[Colour, ...] = (
+    (0.85, 0.64, 0.53),
+    (0.67, 0.46, 0.34),
+    (0.45, 0.3, 0.22),
+    (0.9, 0.72, 0.62),
+)
+HAIR: tuple[Colour, ...] = (
+    (0.13, 0.1, 0.08),
+    (0.36, 0.22, 0.12),
+    (0.6, 0.45, 0.25),
+    (0.45, 0.43, 0.42),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +68,12 @@ class Figure:
         """Return the body at an instant, room frame."""
         sway = sin(2 * np.pi * 0.55 * time_s + self.phase_rad)
         lean = rotation(0.05 * sway, (0, 1, 0), (0, 0, 0.9))
-        upper = [*self._trunk(), *self._head(time_s), *self._gesturing_arm(time_s), *self._working_arm(time_s)]
+        upper = [
+            *self._trunk(),
+            *self._head(time_s),
+            *self._gesturing_arm(time_s),
+            *self._working_arm(time_s),
+        ]
         turn = rotation(0.12 * sway, (0, 0, 1))
         place = translation(self.place[0] + 0.07 * sway, self.place[1], 0)
         return moved([*moved(upper, product(turn, lean)), *self._legs(0.07 * sway)], place)
@@ -61,7 +87,10 @@ class Figure:
         x, y = (np.sign(f(angle)) * power(np.abs(f(angle)), 0.88) for f in (cos, sin))
         points = np.stack([wide * x, deep * y, height[:, None] + 0 * x], -1)
         uv = np.stack([angle * 0.16 + 0 * wide, height[:, None] + 0 * angle], -1)
-        return [sheet(points, uv, self.shirt, closed=True), rod((0, 0.01, 1.47), (0, 0, 1.56), (0.052, 0.05), self.skin)]
+        return [
+            sheet(points, uv, self.shirt, closed=True),
+            rod((0, 0.01, 1.47), (0, 0, 1.56), (0.052, 0.05), self.skin),
+        ]
 
     def _head(self, time_s: float) -> list[Surface]:
         dark = Material(plain((0.12, 0.08, 0.07)), specular=0.5)
@@ -73,9 +102,21 @@ class Figure:
             ellipsoid((0.026, 0.008, 0.007), lips, 12).moved(translation(0, -0.083, -0.054)),
         ]
         for side in (-1, 1):
-            parts.append(ellipsoid((0.014, 0.007, 0.009), dark, 12).moved(translation(0.032 * side, -0.083, 0.018)))
-            parts.append(ellipsoid((0.02, 0.006, 0.005), self.hair, 12).moved(translation(0.032 * side, -0.083, 0.041)))
-            parts.append(ellipsoid((0.012, 0.022, 0.032), self.skin, 12).moved(translation(0.077 * side, 0.005, 0.0)))
+            parts.append(
+                ellipsoid((0.014, 0.007, 0.009), dark, 12).moved(
+                    translation(0.032 * side, -0.083, 0.018)
+                )
+            )
+            parts.append(
+                ellipsoid((0.02, 0.006, 0.005), self.hair, 12).moved(
+                    translation(0.032 * side, -0.083, 0.041)
+                )
+            )
+            parts.append(
+                ellipsoid((0.012, 0.022, 0.032), self.skin, 12).moved(
+                    translation(0.077 * side, 0.005, 0.0)
+                )
+            )
         nod = rotation(0.1 + 0.06 * sin(2 * np.pi * 0.9 * time_s), (1, 0, 0))
         turn = rotation(0.35 * sin(2 * np.pi * 0.45 * time_s + self.phase_rad), (0, 0, 1))
         return moved(parts, product(translation(0, -0.012, 1.65), product(turn, nod)))
@@ -103,33 +144,73 @@ class Figure:
         elbow = shoulder + UPPER_ARM_M * upper
         wrist = elbow + FOREARM_M * fore
         across = unit(np.cross(fore, (0.0, 1.0, 0.3)))
-        parts = [rod(shoulder, elbow, (0.06, 0.046), self.shirt), rod(elbow, elbow + 0.12 * fore, (0.047, 0.044), self.shirt)]
+        parts = [
+            rod(shoulder, elbow, (0.06, 0.046), self.shirt),
+            rod(elbow, elbow + 0.12 * fore, (0.047, 0.044), self.shirt),
+        ]
         parts.append(rod(elbow + 0.1 * fore, wrist, (0.038, 0.027), self.skin))
         parts.append(rod(wrist, wrist + 0.085 * fore, (0.028, 0.034), self.skin))
         for spread in (-0.026, -0.009, 0.009, 0.026):
             knuckle = wrist + 0.1 * fore + spread * across
-            parts.append(rod(knuckle, knuckle + 0.065 * fore + 0.5 * spread * across, (0.0095, 0.0075), self.skin, 8))
+            parts.append(
+                rod(
+                    knuckle,
+                    knuckle + 0.065 * fore + 0.5 * spread * across,
+                    (0.0095, 0.0075),
+                    self.skin,
+                    8,
+                )
+            )
         thumb = wrist + 0.04 * fore - 0.03 * across
-        return [*parts, rod(thumb, thumb + 0.035 * fore - 0.035 * across, (0.012, 0.009), self.skin, 8)]
+        return [
+            *parts,
+            rod(thumb, thumb + 0.035 * fore - 0.035 * across, (0.012, 0.009), self.skin, 8),
+        ]
 
     def _legs(self, shift: float) -> list[Surface]:
         parts = [ellipsoid((0.158, 0.112, 0.11), self.trousers).moved(translation(0, 0, 0.9))]
         for side in (-1, 1):
-            hip, foot = np.array([0.09 * side, 0.0, 0.88]), np.array([0.12 * side - shift, 0.02, 0.07])
+            hip, foot = (
+                np.array([0.09 * side, 0.0, 0.88]),
+                np.array([0.12 * side - shift, 0.02, 0.07]),
+            )
             knee = (hip + foot) / 2 + (0.0, -0.03, 0.02)
-            parts += [rod(hip, knee, (0.085, 0.06), self.trousers), rod(knee, foot, (0.06, 0.05), self.trousers)]
-            parts.append(ellipsoid((0.05, 0.13, 0.05), self.hair).moved(translation(*np.add(foot, (0, -0.06, -0.02)))))
+            parts += [
+                rod(hip, knee, (0.085, 0.06), self.trousers),
+                rod(knee, foot, (0.06, 0.05), self.trousers),
+            ]
+            parts.append(
+                ellipsoid((0.05, 0.13, 0.05), self.hair).moved(
+                    translation(*np.add(foot, (0, -0.06, -0.02)))
+                )
+            )
         return parts
 
 
 def random_figure(rng: np.random.Generator, place: tuple[float, float]) -> Figure:
     """Return a person in clothes of the generator's choice."""
-    cloth = [(0.16, 0.27, 0.48), (0.62, 0.2, 0.18), (0.25, 0.42, 0.33), (0.82, 0.78, 0.7), (0.75, 0.55, 0.2)]
+    cloth = [
+        (0.16, 0.27, 0.48),
+        (0.62, 0.2, 0.18),
+        (0.25, 0.42, 0.33),
+        (0.82, 0.78, 0.7),
+        (0.75, 0.55, 0.2),
+    ]
     first, second = rng.permutation(len(cloth))[:2]
     kind = ("stripes", "check")[rng.integers(2)]
     return Figure(
-        skin=Material(mottled(rng, SKIN[rng.integers(len(SKIN))], 0.03), (0.5, 0.5), 0.08, 15),
-        hair=Material(mottled(rng, HAIR[rng.integers(len(HAIR))], 0.25, 0.008), (0.5, 0.5), 0.15, 20),
+        skin=Material(
+            texture=mottled(rng, SKIN[rng.integers(len(SKIN))], 0.03),
+            tile_m=(0.5, 0.5),
+            specular=0.08,
+            shininess=15,
+        ),
+        hair=Material(
+            texture=mottled(rng, HAIR[rng.integers(len(HAIR))], 0.25, 0.008),
+            tile_m=(0.5, 0.5),
+            specular=0.15,
+            shininess=20,
+        ),
         shirt=Material(fabric(rng, (1.0, 1.0), cloth[first], cloth[second], kind)),
         trousers=Material(fabric(rng, (1.0, 1.0), (0.17, 0.19, 0.26), (0.2, 0.22, 0.3), "plain")),
         place=place,

@@ -1,6 +1,8 @@
-"""A garden: thin foliage close to the cameras, a house, a hedge and the sky far behind it, laid out by a seed.
+"""A garden: thin foliage close to the cameras, a house, a hedge and the sky far behind it, laid out
+by a seed.
 
-Room frame: metres, x right, y away from the cameras, z up; the rig is around x = y = 0 as in the living room.
+Room frame: metres, x right, y away from the cameras, z up; the rig is around x = y = 0 as in the
+living room.
 """
 
 from collections.abc import Callable
@@ -11,7 +13,18 @@ from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.contrib.worlds.room import textures
 from ggvs_eval.contrib.worlds.room.figure import random_figure
 from ggvs_eval.contrib.worlds.room.room import Light, Mover, Room
-from ggvs_eval.contrib.worlds.room.surfaces import Material, Surface, blades, box, moved, panel, rod, rotation, sheet, translation
+from ggvs_eval.contrib.worlds.room.surfaces import (
+    Material,
+    Surface,
+    blades,
+    box,
+    moved,
+    panel,
+    rod,
+    rotation,
+    sheet,
+    translation,
+)
 from ggvs_eval.kernels.portable import cos, power, product, sin, unit
 from ggvs_eval.kernels.portable import length as length_of
 
@@ -31,7 +44,10 @@ Place = tuple[float, float]
 def shrub(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
     """Return the stems that bend outwards, with leaves along them; the ground shows through."""
     stems = _curves(rng, place, int(rng.integers(7, 12)), height, bend=0.35, points=5)
-    return [*_stalks(rng, stems, 0.006), *_leaves_along(rng, stems, int(rng.integers(18, 30)), rng.uniform(0.05, 0.09))]
+    return [
+        *_stalks(rng, stems, 0.006),
+        *_leaves_along(rng, stems, int(rng.integers(18, 30)), rng.uniform(0.05, 0.09)),
+    ]
 
 
 def shoot(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
@@ -44,7 +60,10 @@ def hanging(rng: np.random.Generator, place: Place, length: float) -> list[Surfa
     """Leafy shoots that hang down into the picture from 2.4 m."""
     stems = _curves(rng, place, int(rng.integers(2, 5)), length, bend=0.35, points=5)
     stems = stems * (1, 1, -1) + np.array([0, 0, 2.4])
-    return [*_stalks(rng, stems, 0.005), *_leaves_along(rng, stems, int(rng.integers(18, 26)), rng.uniform(0.05, 0.08))]
+    return [
+        *_stalks(rng, stems, 0.005),
+        *_leaves_along(rng, stems, int(rng.integers(18, 26)), rng.uniform(0.05, 0.08)),
+    ]
 
 
 def reeds(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
@@ -53,14 +72,21 @@ def reeds(rng: np.random.Generator, place: Place, height: float) -> list[Surface
     spines = _curves(rng, place, count, height, bend=0.4, points=len(along), spread=0.09)
     turn = rng.uniform(0, 2 * np.pi, count)
     across = np.stack([cos(turn), sin(turn), 0 * turn], -1)[:, None, None]  # (N, 1, 1, 3)
-    half = 0.0045 * np.clip(1.15 - along, 0.05, 1)[None, :, None, None] * np.array([-1, 0, 1])[None, None, :, None]
+    half = (
+        0.0045
+        * np.clip(1.15 - along, 0.05, 1)[None, :, None, None]
+        * np.array([-1, 0, 1])[None, None, :, None]
+    )
     uv = np.stack(np.meshgrid([0, 0.005, 0.01], along * height), -1)
     return [blades(spines[:, :, None] + half * across, uv, _leaf_material(rng))]
 
 
 def twigs(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
     """Return a bare little tree: every branch forks, down to 2 mm."""
-    bark, parts = Material(textures.mottled(rng, BARK[int(rng.integers(len(BARK)))], 0.15), (0.5, 0.5)), []
+    bark, parts = (
+        Material(textures.mottled(rng, BARK[int(rng.integers(len(BARK)))], 0.15), (0.5, 0.5)),
+        [],
+    )
     tips = [(np.array([*place, 0.0]), np.array([0.0, 0.0, 0.36 * height]), 0.009)]
     for _ in range(5):
         grown = []
@@ -69,7 +95,13 @@ def twigs(rng: np.random.Generator, place: Place, height: float) -> list[Surface
             parts.append(rod(start, end, (radius, 0.8 * radius), bark, 6))
             for _ in range(2):
                 turned = step + rng.normal(0, 0.42, 3) * length_of(step) * (1, 0.7, 0.6)
-                grown.append((end, turned * rng.uniform(0.66, 0.86) * (1, 0.85, 1), max(0.72 * radius, 0.002)))
+                grown.append(
+                    (
+                        end,
+                        turned * rng.uniform(0.66, 0.86) * (1, 0.85, 1),
+                        max(0.72 * radius, 0.002),
+                    )
+                )
         tips = grown
     return parts
 
@@ -93,20 +125,42 @@ def hedge(rng: np.random.Generator, y: float, width: float) -> list[Surface]:
     bumps = 0.12 * textures.fractal_noise(rng, x.shape, (5, 5), 3)
     size = (4.0, 1.6)
     tone = 1 + 0.4 * textures.fractal_noise(rng, (640, 1600), (18, 18), 4)
-    texture = np.rint(np.clip(tone[..., None] * np.array((0.2, 0.3, 0.13)), 0.02, 0.9) * 255).astype(np.uint8)
-    front = sheet(np.stack([x, y + bumps, z], -1), np.stack([x + width / 2, z], -1), Material(texture, size))
+    texture = np.rint(
+        np.clip(tone[..., None] * np.array((0.2, 0.3, 0.13)), 0.02, 0.9) * 255
+    ).astype(np.uint8)
+    front = sheet(
+        np.stack([x, y + bumps, z], -1), np.stack([x + width / 2, z], -1), Material(texture, size)
+    )
     count = 800
     centres = np.stack(
-        [rng.uniform(-width / 2, width / 2, count), y - rng.uniform(0, 0.2, count), rng.uniform(0, height, count)], -1
+        [
+            rng.uniform(-width / 2, width / 2, count),
+            y - rng.uniform(0, 0.2, count),
+            rng.uniform(0, height, count),
+        ],
+        -1,
     )
-    return [front, _leaves(rng, centres, rng.normal(0, 1, (count, 3)) - np.array((0, 0.8, 0)), 0.15, rows=3)]
+    return [
+        front,
+        _leaves(rng, centres, rng.normal(0, 1, (count, 3)) - np.array((0, 0.8, 0)), 0.15, rows=3),
+    ]
 
 
-SHAPES: tuple[Callable[[np.random.Generator, Place, float], list[Surface]], ...] = (shrub, reeds, twigs)
+SHAPES: tuple[Callable[[np.random.Generator, Place, float], list[Surface]], ...] = (
+    shrub,
+    reeds,
+    twigs,
+)
 
 
 def _curves(
-    rng: np.random.Generator, place: Place, count: int, height: float, bend: float, points: int = 8, spread: float = 0.06
+    rng: np.random.Generator,
+    place: Place,
+    count: int,
+    height: float,
+    bend: float,
+    points: int = 8,
+    spread: float = 0.06,
 ) -> Array:
     """Return the stems that grow from around a place and bend outwards, (count, points, 3)."""
     angle, tall = rng.uniform(0, 2 * np.pi, count), height * rng.uniform(0.65, 1.0, count)
@@ -121,10 +175,16 @@ def _curves(
 def _stalks(rng: np.random.Generator, stems: Array, radius: float) -> list[Surface]:
     bark = Material(textures.mottled(rng, BARK[int(rng.integers(len(BARK)))], 0.15), (0.5, 0.5))
     thin = np.linspace(radius, 0.25 * radius, stems.shape[1])
-    return [rod(stem[k], stem[k + 1], (thin[k], thin[k + 1]), bark, 6) for stem in stems for k in range(0, stems.shape[1] - 1)]
+    return [
+        rod(stem[k], stem[k + 1], (thin[k], thin[k + 1]), bark, 6)
+        for stem in stems
+        for k in range(0, stems.shape[1] - 1)
+    ]
 
 
-def _leaves_along(rng: np.random.Generator, stems: Array, per_stem: int, length: float) -> list[Surface]:
+def _leaves_along(
+    rng: np.random.Generator, stems: Array, per_stem: int, length: float
+) -> list[Surface]:
     """Leaves that point away from the upper four fifths of each stem."""
     share = np.sort(rng.uniform(0.2, 1.0, (len(stems), per_stem)), axis=1) * (stems.shape[1] - 1)
     before = np.minimum(share.astype(int), stems.shape[1] - 2)
@@ -136,7 +196,9 @@ def _leaves_along(rng: np.random.Generator, stems: Array, per_stem: int, length:
     return [_leaves(rng, places.reshape(-1, 3), pointing.reshape(-1, 3), length)]
 
 
-def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 4) -> Surface:
+def _leaves(
+    rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 4
+) -> Surface:
     """Return one leaf at each place, (N, 3), growing in its direction, (N, 3), bent downwards."""
     along = unit(pointing)
     across = unit(np.cross(along, (0, 0, 1)) + 1e-6)
@@ -153,7 +215,13 @@ def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: fl
 
 def _leaf_material(rng: np.random.Generator) -> Material:
     green = np.array(GREENS[int(rng.integers(len(GREENS)))]) * rng.uniform(0.8, 1.2)
-    return Material(textures.mottled(rng, tuple(green), 0.22, 0.03), (0.5, 0.5), 0.12, 25, TRANSLUCENT)
+    return Material(
+        texture=textures.mottled(rng, tuple(green), 0.22, 0.03),
+        tile_m=(0.5, 0.5),
+        specular=0.12,
+        shininess=25,
+        emission=TRANSLUCENT,
+    )
 
 
 SKY_RADIUS_M, SKY_TOP_M, SKY_BOTTOM_M, SKY_HALF_RAD = 17.0, 17.0, -1.0, np.radians(125)
@@ -184,7 +252,9 @@ def _foreground(rng: np.random.Generator) -> list[Surface]:
         x, y = float(rng.uniform(-1.6, 1.6)), float(rng.uniform(1.9, 3.0))
         parts += shrub(rng, (x, y), float(rng.uniform(0.6, 1.3)))
     for x in rng.uniform(-1.3, 1.3, 3):
-        parts += hanging(rng, (float(x), float(rng.uniform(1.0, 1.8))), float(rng.uniform(0.6, 1.2)))
+        parts += hanging(
+            rng, (float(x), float(rng.uniform(1.0, 1.8))), float(rng.uniform(0.6, 1.2))
+        )
     return parts
 
 
@@ -195,23 +265,44 @@ def _ground(rng: np.random.Generator) -> list[Surface]:
     near = panel((-2.6, 0.2, 0), (5.2, 0, 0), (0, 4.2, 0), grass, 0.08)
     slab = Material(textures.mottled(rng, (0.55, 0.53, 0.5), 0.12), (0.5, 0.5))
     turn = float(rng.uniform(-0.4, 0.4))
-    slabs = [side for k in range(9) for side in box((-0.24, 0.7 * k, 0), (0.24, 0.7 * k + 0.6, 0.02), slab, 0.12)]
-    return [far, near, *moved(slabs, product(translation(float(rng.uniform(-0.6, 0.6)), 1.2, 0), rotation(turn, (0, 0, 1))))]
+    slabs = [
+        side
+        for k in range(9)
+        for side in box((-0.24, 0.7 * k, 0), (0.24, 0.7 * k + 0.6, 0.02), slab, 0.12)
+    ]
+    return [
+        far,
+        near,
+        *moved(
+            slabs,
+            product(translation(float(rng.uniform(-0.6, 0.6)), 1.2, 0), rotation(turn, (0, 0, 1))),
+        ),
+    ]
 
 
 def _grass(rng: np.random.Generator) -> Image8:
     shape = (900, 900)
-    tone = 1 + 0.2 * textures.fractal_noise(rng, shape, (300, 300), 4) + 0.28 * textures.fractal_noise(rng, shape, (9, 3), 2)
+    tone = (
+        1
+        + 0.2 * textures.fractal_noise(rng, shape, (300, 300), 4)
+        + 0.28 * textures.fractal_noise(rng, shape, (9, 3), 2)
+    )
     dry = 0.5 + 0.3 * textures.fractal_noise(rng, shape, (120, 120), 5)
-    colours = (1 - dry[..., None]) * np.array((0.26, 0.34, 0.17)) + dry[..., None] * np.array((0.42, 0.41, 0.25))
+    colours = (1 - dry[..., None]) * np.array((0.26, 0.34, 0.17)) + dry[..., None] * np.array(
+        (0.42, 0.41, 0.25)
+    )
     return np.rint(np.clip(colours * tone[..., None], 0.03, 0.9) * 255).astype(np.uint8)
 
 
 def _backdrop(rng: np.random.Generator) -> list[Surface]:
     """Sky, clouds and a line of trees on a cylinder around the garden."""
     size = (2 * SKY_HALF_RAD * SKY_RADIUS_M, SKY_TOP_M - SKY_BOTTOM_M)
-    angle, height = np.meshgrid(np.linspace(-SKY_HALF_RAD, SKY_HALF_RAD, 73), np.linspace(SKY_BOTTOM_M, SKY_TOP_M, 13))
-    points = np.stack([SKY_RADIUS_M * sin(angle), SKY_CENTRE_Y_M + SKY_RADIUS_M * cos(angle), height], -1)
+    angle, height = np.meshgrid(
+        np.linspace(-SKY_HALF_RAD, SKY_HALF_RAD, 73), np.linspace(SKY_BOTTOM_M, SKY_TOP_M, 13)
+    )
+    points = np.stack(
+        [SKY_RADIUS_M * sin(angle), SKY_CENTRE_Y_M + SKY_RADIUS_M * cos(angle), height], -1
+    )
     uv = np.stack([(angle + SKY_HALF_RAD) * SKY_RADIUS_M, height - SKY_BOTTOM_M], -1)
     return [sheet(points, uv, Material(_horizon(rng, size), size, emission=0.9))]
 
@@ -219,13 +310,23 @@ def _backdrop(rng: np.random.Generator) -> list[Surface]:
 def _horizon(rng: np.random.Generator, size_m: textures.Size) -> Image8:
     """Return the picture of the backdrop, its trees sharp."""
     width, height = (round(side * BACKDROP_TEXELS_PER_METRE) for side in size_m)
-    up_m = (SKY_TOP_M - (np.arange(height, dtype=np.float32) + 0.5) / BACKDROP_TEXELS_PER_METRE)[:, None]
-    clouds = np.clip(0.25 + 0.4 * textures.fractal_noise(rng, (height, width), (260, 700), 6), 0, 1)[..., None]
-    blue = np.array((0.5, 0.66, 0.86)) - 0.012 * np.clip(up_m, 0, None)[..., None] * np.array((1.2, 0.8, 0.2))
+    up_m = (SKY_TOP_M - (np.arange(height, dtype=np.float32) + 0.5) / BACKDROP_TEXELS_PER_METRE)[
+        :, None
+    ]
+    clouds = np.clip(
+        0.25 + 0.4 * textures.fractal_noise(rng, (height, width), (260, 700), 6), 0, 1
+    )[..., None]
+    blue = np.array((0.5, 0.66, 0.86)) - 0.012 * np.clip(up_m, 0, None)[..., None] * np.array(
+        (1.2, 0.8, 0.2)
+    )
     sky = blue * (1 - clouds) + clouds * np.array((0.93, 0.94, 0.95))
     outline = 3.0 + 1.3 * textures.fractal_noise(rng, (2, width), (2, 420), 6)[:1]
     leaves = 1 + 0.34 * textures.fractal_noise(rng, (height, width), (60, 60), 6)
-    green = leaves[..., None] * np.array((0.2, 0.3, 0.14)) * (0.75 + 0.05 * np.clip(up_m, 0, 8))[..., None]
+    green = (
+        leaves[..., None]
+        * np.array((0.2, 0.3, 0.14))
+        * (0.75 + 0.05 * np.clip(up_m, 0, 8))[..., None]
+    )
     ragged = up_m - outline + 0.35 * textures.fractal_noise(rng, (height, width), (24, 24), 3)
     share = np.clip(0.5 - ragged / 0.12, 0, 1)[..., None]
     return np.rint(np.clip(sky * (1 - share) + green * share, 0.02, 0.97) * 255).astype(np.uint8)
@@ -237,21 +338,31 @@ def _house(rng: np.random.Generator) -> list[Surface]:
     brick, white = bool(rng.integers(2)), Material(textures.plain((0.88, 0.87, 0.84)))
     size = (2.7, 2.4)
     ochre = textures.plaster(rng, size, (0.82, 0.74, 0.6))
-    wall = Material(textures.bricks(rng, size, (0.56, 0.31, 0.24), (0.7, 0.66, 0.6)) if brick else ochre, size)
-    tiles = Material(textures.bricks(rng, (1.8, 1.5), (0.5, 0.26, 0.2), (0.24, 0.16, 0.14)), (1.8, 1.5))
+    wall = Material(
+        textures.bricks(rng, size, (0.56, 0.31, 0.24), (0.7, 0.66, 0.6)) if brick else ochre, size
+    )
+    tiles = Material(
+        textures.bricks(rng, (1.8, 1.5), (0.5, 0.26, 0.2), (0.24, 0.16, 0.14)), (1.8, 1.5)
+    )
     glass = Material(textures.mottled(rng, (0.16, 0.2, 0.26), 0.5, 0.3), (0.9, 1.2), 0.3)
     parts = box((-width / 2, 0, 0), (width / 2, depth, height), wall, 0.4)
     for x in np.linspace(-width / 2 + 1, width / 2 - 1, int(width // 1.6)):
         parts += _house_window(float(x), white, glass)
     ridge = np.array([0, depth / 2 + 0.3, 1.9])
-    parts.append(panel((-width / 2 - 0.3, -0.35, height - 0.05), (width + 0.6, 0, 0), ridge, tiles, 0.4))
+    parts.append(
+        panel((-width / 2 - 0.3, -0.35, height - 0.05), (width + 0.6, 0, 0), ridge, tiles, 0.4)
+    )
     place = translation(float(rng.uniform(-3.5, 3.5)), float(rng.uniform(8, 11)), 0)
     return moved(parts, product(place, rotation(float(rng.uniform(-0.35, 0.35)), (0, 0, 1))))
 
 
 def _house_window(x: float, white: Material, glass: Material) -> list[Surface]:
     parts = [panel((x - 0.45, -0.01, 0.9), (0.9, 0, 0), (0, 0, 1.2), glass, 0.3)]
-    for low, high in (((-0.5, 0.85), (-0.43, 2.15)), ((0.43, 0.85), (0.5, 2.15)), ((-0.03, 0.9), (0.03, 2.1))):
+    for low, high in (
+        ((-0.5, 0.85), (-0.43, 2.15)),
+        ((0.43, 0.85), (0.5, 2.15)),
+        ((-0.03, 0.9), (0.03, 2.1)),
+    ):
         parts += box((x + low[0], -0.05, low[1]), (x + high[0], 0, high[1]), white, 0.4)
     for low_z in (0.82, 1.62, 2.09):
         parts += box((x - 0.5, -0.06, low_z), (x + 0.5, 0, low_z + 0.06), white, 0.4)
@@ -264,14 +375,21 @@ def _fence(rng: np.random.Generator) -> list[Surface]:
     parts: list[Surface] = []
     for x in np.arange(-5.0, 5.0, 0.16):
         slat = box((-0.02, 0, 0), (0.02, 0.012, float(rng.uniform(0.85, 0.95))), grain, 0.2)
-        parts += moved(slat, product(translation(float(x), 4.1, 0), rotation(float(rng.normal(0, 0.015)), (0, 1, 0))))
+        parts += moved(
+            slat,
+            product(
+                translation(float(x), 4.1, 0), rotation(float(rng.normal(0, 0.015)), (0, 1, 0))
+            ),
+        )
     for z in (0.25, 0.75):
         parts += box((-5.0, 4.112, z), (5.0, 4.13, z + 0.05), grain, 0.2)
     return parts
 
 
 def _person(rng: np.random.Generator) -> Mover:
-    return random_figure(rng, (float(rng.uniform(-0.3, 0.3)), float(rng.uniform(2.4, 3.2)))).surfaces
+    return random_figure(
+        rng, (float(rng.uniform(-0.3, 0.3)), float(rng.uniform(2.4, 3.2)))
+    ).surfaces
 
 
 def _swaying_branch(rng: np.random.Generator) -> Mover:
@@ -293,7 +411,9 @@ def _sun(rng: np.random.Generator) -> Light:
     angle = 2.4 * np.arange(SUN_POINTS)
     radius = SUN_RADIUS_M * np.sqrt((np.arange(SUN_POINTS) + 0.5) / SUN_POINTS)
     across = unit(np.cross(direction, (0, 0, 1)))
-    offsets = radius[:, None] * (cos(angle)[:, None] * across + sin(angle)[:, None] * np.cross(direction, across))
+    offsets = radius[:, None] * (
+        cos(angle)[:, None] * across + sin(angle)[:, None] * np.cross(direction, across)
+    )
     return Light(SUN_M * direction + offsets + (0, 2, 0), None, lambda time_s: SUNSHINE * SUN_M**2)
 
 
@@ -302,5 +422,9 @@ def _sky() -> Light:
     index, radius_m = np.arange(SKY_POINTS) + 0.5, 0.9 * SKY_RADIUS_M
     height, angle = 0.15 + 0.85 * index / SKY_POINTS, index * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - height**2)
-    points: Array = radius_m * np.stack([flat * cos(angle), flat * sin(angle), height], -1) + (0, SKY_CENTRE_Y_M, 0)
+    points: Array = radius_m * np.stack([flat * cos(angle), flat * sin(angle), height], -1) + (
+        0,
+        SKY_CENTRE_Y_M,
+        0,
+    )
     return Light(points, None, lambda time_s: 2 * SKYLIGHT * radius_m**2)

@@ -1,4 +1,6 @@
-"""Light on every vertex of a mesh that rays can hit: soft shadows and several bounces, baked once for static surfaces."""
+"""Light on every vertex of a mesh that rays can hit: soft shadows and several bounces, baked once
+for static surfaces.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +34,12 @@ class Hits(NamedTuple):
 
     def rows(self, index: NDArray[np.int64]) -> "Hits":
         """Some of the hits."""
-        return Hits(self.ray[index], self.distance[index], self.face[index], self.corner_weights[index])
+        return Hits(
+            ray=self.ray[index],
+            distance=self.distance[index],
+            face=self.face[index],
+            corner_weights=self.corner_weights[index],
+        )
 
 
 class Geometry:
@@ -58,7 +65,9 @@ class Geometry:
         kinds = {id(surface.material): surface.material for surface in surfaces}
         order = {key: index for index, key in enumerate(kinds)}
         self.materials: list[Material] = list(kinds.values())
-        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.faces) for s in surfaces])
+        self.material = np.repeat(
+            [order[id(s.material)] for s in surfaces], [len(s.faces) for s in surfaces]
+        )
 
     @cached_property
     def bounds(self) -> tuple[Array32, Array32]:
@@ -74,10 +83,14 @@ class Geometry:
         """
         distance, face, weights = self._tree.cast(*_rows(origins, directions))
         ray = np.flatnonzero(face >= 0)
-        return Hits(ray, distance[ray], face[ray], weights[ray])
+        return Hits(ray=ray, distance=distance[ray], face=face[ray], corner_weights=weights[ray])
 
-    def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
-        """Return for each ray whether something is within `reach` times its direction, the first and last percent left out."""
+    def blocks(
+        self, origins: Array32, directions: Array32, reach: float = 1.0
+    ) -> NDArray[np.bool_]:
+        """Return for each ray whether something is within `reach` times its direction, the first
+        and last percent left out.
+        """
         return self._tree.blocks(*_rows(origins, directions), 0.005 * reach, 0.99 * reach)
 
     def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:
@@ -92,7 +105,9 @@ class Geometry:
 
 def _rows(origins: Array32, directions: Array32) -> tuple[Array32, Array32]:
     """Origins, (1, 3) or (N, 3), and directions, (N, 3), as they are in memory."""
-    return np.ascontiguousarray(np.atleast_2d(origins), np.float32), np.ascontiguousarray(directions, np.float32)
+    return np.ascontiguousarray(np.atleast_2d(origins), np.float32), np.ascontiguousarray(
+        directions, np.float32
+    )
 
 
 AMBIENT_DIRECTIONS = 64
@@ -101,7 +116,8 @@ OFFSET_M = 0.002
 CONTACT_M = 0.7
 BRIGHTEST_BOUNCE = 0.8
 MIRRORED_POWER = 0.3
-# A change of light below this share is left out: most of the room then keeps its pixels from frame to frame.
+# A change of light below this share is left out: most of the room then keeps its pixels from frame
+# to frame.
 NOTICEABLE = 0.01
 RAYS_AT_ONCE = 1_000_000
 
@@ -147,10 +163,16 @@ class LitRoom:
     def __init__(self, room: Room) -> None:
         self.room = room
         self.static = Geometry(room.static)
-        self._points = np.concatenate([light.points for light in room.lights]).astype(np.float32)  # (S, 3)
-        self._light_of_point = np.repeat(np.arange(len(room.lights)), [len(light.points) for light in room.lights])
+        # (S, 3)
+        self._points = np.concatenate([light.points for light in room.lights]).astype(np.float32)
+        self._light_of_point = np.repeat(
+            np.arange(len(room.lights)), [len(light.points) for light in room.lights]
+        )
         self._directions = hemisphere(AMBIENT_DIRECTIONS)
-        self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[self.static.material]  # (F, 3)
+        # (F, 3)
+        self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[
+            self.static.material
+        ]
 
     def at(self, time_s: float) -> Instant:
         """Return the lit room at an instant."""
@@ -160,20 +182,41 @@ class LitRoom:
         noticed = np.abs(static_light - self._resting_light) > NOTICEABLE * self._resting_light
         static_light = np.where(noticed, static_light, self._resting_light)
         direct = _sum_over_points(self._direct_transfer(moving, self.static, moving), power)
-        return Instant(self.static, moving, static_light, direct + self._ambient_on(moving), self._highlights(power))
+        return Instant(
+            static=self.static,
+            moving=moving,
+            static_light=static_light,
+            moving_light=direct + self._ambient_on(moving),
+            highlights=self._highlights(power),
+        )
 
     def empty(self) -> Instant:
         """Return the room at time 0 without anything that moves and without its shadows."""
-        return Instant(self.static, None, self._resting_light, np.zeros((0, 3), np.float32), self._highlights(self._power(0.0)))
+        return Instant(
+            static=self.static,
+            moving=None,
+            static_light=self._resting_light,
+            moving_light=np.zeros((0, 3), np.float32),
+            highlights=self._highlights(self._power(0.0)),
+        )
 
     def recall(self, time_s: float, static_light: Array32, moving_light: Array32) -> Instant:
         """Return the instant of which `at` gave these two, without computing them again."""
         moving, highlights = Geometry(self.room.at(time_s)), self._highlights(self._power(time_s))
-        return Instant(self.static, moving, static_light, moving_light, highlights)
+        return Instant(
+            static=self.static,
+            moving=moving,
+            static_light=static_light,
+            moving_light=moving_light,
+            highlights=highlights,
+        )
 
     @cached_property
     def _baked(self) -> _Baked:
-        """Light baked into static content; made on first use, as recalling instants needs none of it."""
+        """Light baked into static content.
+
+        Made on first use, as recalling instants needs none of it.
+        """
         return _Baked(*self._bake())
 
     @cached_property
@@ -211,19 +254,27 @@ class LitRoom:
 
     def _form_factor(self, index: int, towards: Array32, normals: Array32) -> Array32:
         squared = np.einsum("vc,vc->v", towards, towards)
-        factor = np.maximum(np.einsum("vc,vc->v", towards, normals), 0.0) / (squared * np.sqrt(squared))
+        factor = np.maximum(np.einsum("vc,vc->v", towards, normals), 0.0) / (
+            squared * np.sqrt(squared)
+        )
         normal = self.room.lights[self._light_of_point[index]].normal
         if normal is not None:
-            factor *= np.maximum(-transformed(normal[None].astype(np.float32), towards)[:, 0], 0.0) / np.sqrt(squared)
+            factor *= np.maximum(
+                -transformed(normal[None].astype(np.float32), towards)[:, 0], 0.0
+            ) / np.sqrt(squared)
         # A lamp is no point: nearer than its own size the inverse square would run away.
         return np.minimum(factor, 60.0)
 
-    def _seen_faces(self, target: Geometry, vertices: Array32, normals: Array32) -> NDArray[np.int64]:
+    def _seen_faces(
+        self, target: Geometry, vertices: Array32, normals: Array32
+    ) -> NDArray[np.int64]:
         """Static face that each vertex sees in each ambient direction, -1 for none, (V, A)."""
         seen_faces = np.full((len(vertices), AMBIENT_DIRECTIONS), -1, np.int64)
         for rows in _chunks(len(vertices)):
             directions = around(normals[rows], self._directions)  # (R, A, 3)
-            origins = np.repeat(vertices[rows] + OFFSET_M * normals[rows], AMBIENT_DIRECTIONS, axis=0)
+            origins = np.repeat(
+                vertices[rows] + OFFSET_M * normals[rows], AMBIENT_DIRECTIONS, axis=0
+            )
             hits = target.cast(origins, directions.reshape(-1, 3))
             flat = np.full(directions.shape[0] * AMBIENT_DIRECTIONS, -1, np.int64)
             flat[hits.ray] = hits.face
@@ -231,18 +282,26 @@ class LitRoom:
         return seen_faces
 
     def _bounce(self, direct: Array32, seen_faces: NDArray[np.int64]) -> tuple[Array32, Array32]:
-        """Let light bounce; gives what each face sends out (F + 1, 3) and what bounces onto each vertex (V, 3)."""
+        """Let light bounce; gives what each face sends out (F + 1, 3) and what bounces onto each
+        vertex (V, 3).
+        """
         ambient = np.zeros_like(direct)
         for _ in range(BOUNCES):
             radiosity = self._albedo * (direct + ambient)[self.static.faces].mean(axis=1)
-            # A surface right at a lamp is far brighter than the rest and would show each single direction as a blot.
+            # A surface right at a lamp is far brighter than the rest and would show each single
+            # direction as a blot.
             radiosity = np.minimum(radiosity, BRIGHTEST_BOUNCE)
-            radiosity = np.concatenate([radiosity, np.zeros((1, 3), np.float32)])  # the last one is for "nothing seen"
-            ambient = np.stack([radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
+            # the last one is for "nothing seen"
+            radiosity = np.concatenate([radiosity, np.zeros((1, 3), np.float32)])
+            ambient = np.stack(
+                [radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1
+            )
         return radiosity, ambient
 
     def _shadowed(self, casters: list[Geometry]) -> tuple[Array32, Array32]:
-        """Transfer (V, S) and ambient light (V, 3) of the static vertices with moving things in the way."""
+        """Transfer (V, S) and ambient light (V, 3) of the static vertices with moving things in the
+        way.
+        """
         origins = self.static.vertices + OFFSET_M * self.static.normals
         transfer, ambient = self._baked.transfer.copy(), self._baked.ambient.copy()
         for caster in casters:
@@ -255,37 +314,56 @@ class LitRoom:
         return transfer, ambient
 
     def _covered(self, moving: Geometry, rows: NDArray[np.int64]) -> Array32:
-        """Return the share of the hemisphere over static vertices that moving things cover nearby, (R,)."""
+        """Return the share of the hemisphere over static vertices that moving things cover nearby,
+        (R,).
+        """
         share = np.zeros(len(rows), np.float32)
         for chunk in _chunks(len(rows)):
             normals = self.static.normals[rows[chunk]]
             directions = around(normals, self._directions)
-            origins = np.repeat(self.static.vertices[rows[chunk]] + OFFSET_M * normals, AMBIENT_DIRECTIONS, axis=0)
+            origins = np.repeat(
+                self.static.vertices[rows[chunk]] + OFFSET_M * normals, AMBIENT_DIRECTIONS, axis=0
+            )
             blocked = moving.blocks(origins, directions.reshape(-1, 3), CONTACT_M)
             share[chunk] = blocked.reshape(-1, AMBIENT_DIRECTIONS).mean(axis=1)
         return share
 
     def _ambient_on(self, moving: Geometry) -> Array32:
-        """Return the light that bounces onto moving vertices, (V', 3); what other moving things cover is dark."""
+        """Return the light that bounces onto moving vertices, (V', 3).
+
+        What other moving things cover is dark.
+        """
         seen_faces = self._seen_faces(self.static, moving.vertices, moving.normals)
         directions = around(moving.normals, self._directions).reshape(-1, 3)
         origins = np.repeat(moving.vertices + OFFSET_M * moving.normals, AMBIENT_DIRECTIONS, axis=0)
         seen_faces[moving.blocks(origins, directions, CONTACT_M).reshape(seen_faces.shape)] = -1
-        return np.stack([self._baked.radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
+        return np.stack(
+            [self._baked.radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)],
+            axis=-1,
+        )
 
 
 def hemisphere(count: int) -> Array32:
-    """Return the directions around +z whose density falls with the cosine, (count, 3): a Fibonacci spiral."""
+    """Return the directions around +z whose density falls with the cosine, (count, 3): a Fibonacci
+    spiral.
+    """
     index = np.arange(count) + 0.5
     radius, angle = np.sqrt(index / count), index * np.pi * (3 - np.sqrt(5))
-    return np.stack([radius * cos(angle), radius * sin(angle), np.sqrt(1 - radius**2)], -1).astype(np.float32)
+    return np.stack([radius * cos(angle), radius * sin(angle), np.sqrt(1 - radius**2)], -1).astype(
+        np.float32
+    )
 
 
 def around(normals: Array32, directions: Array32) -> Array32:
     """Return the directions (A, 3) around +z turned about each normal (V, 3), (V, A, 3)."""
-    helper = np.where(np.abs(normals[:, 2:]) < 0.9, np.array([[0, 0, 1]], np.float32), np.array([[1, 0, 0]], np.float32))
+    helper = np.where(
+        np.abs(normals[:, 2:]) < 0.9,
+        np.array([[0, 0, 1]], np.float32),
+        np.array([[1, 0, 0]], np.float32),
+    )
     first = unit(np.cross(helper, normals))
-    frame = np.stack([first, np.cross(normals, first), normals], axis=1)  # (V, 3, 3), rows are the axes
+    # (V, 3, 3), rows are the axes
+    frame = np.stack([first, np.cross(normals, first), normals], axis=1)
     turned = directions[:, 0, None] * frame[:, None, 0]  # (V, A, 3)
     for axis in (1, 2):
         turned += directions[:, axis, None] * frame[:, None, axis]
@@ -308,7 +386,9 @@ def _chunks(count: int) -> list[slice]:
     return [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
 
 
-def _crosses(bounds: tuple[Array32, Array32], origins: Array32, point: Array32) -> NDArray[np.bool_]:
+def _crosses(
+    bounds: tuple[Array32, Array32], origins: Array32, point: Array32
+) -> NDArray[np.bool_]:
     """Return whether the segment from each origin to a point meets a box, (N,)."""
     enter, leave = np.zeros(len(origins), np.float32), np.ones(len(origins), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):

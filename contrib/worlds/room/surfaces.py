@@ -1,6 +1,8 @@
-"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as triangles with texture coordinates.
+"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as triangles with
+texture coordinates.
 
-Room frame: metres, x right, y into the room, z up. Texture coordinates are metres on the surface, the second one upwards.
+Room frame: metres, x right, y into the room, z up. Texture coordinates are metres on the surface,
+the second one upwards.
 """
 
 from collections.abc import Sequence
@@ -94,8 +96,16 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     normals = unit(np.cross(along, np.gradient(points, axis=0)))
     index = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return Surface(points.reshape(-1, 3), normals.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
+    faces = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
+    return Surface(
+        vertices=points.reshape(-1, 3),
+        normals=normals.reshape(-1, 3),
+        faces=faces,
+        uv=uv.reshape(-1, 2),
+        material=material,
+    )
 
 
 def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.001) -> Surface:
@@ -110,14 +120,27 @@ def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.
     count, size = 2 * len(points), points.shape[1] * points.shape[2]
     index = np.arange(size).reshape(points.shape[1:3])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
     faces = (size * np.arange(count)[:, None, None] + faces).reshape(-1, 3)
     normals = np.stack([normals, -normals]).reshape(-1, 3)
-    return Surface(vertices, normals, faces, np.tile(uv.reshape(-1, 2), (count, 1)), material)
+    return Surface(
+        vertices=vertices,
+        normals=normals,
+        faces=faces,
+        uv=np.tile(uv.reshape(-1, 2), (count, 1)),
+        material=material,
+    )
 
 
-def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:
-    """Flat rectangle from a corner along two edges; its outside is edge_u x edge_v, its texture starts at the corner."""
+def panel(
+    corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05
+) -> Surface:
+    """Flat rectangle from a corner along two edges.
+
+    Its outside is edge_u x edge_v, its texture starts at the corner.
+    """
     corner, edge_u, edge_v = (np.asarray(vector, np.float64) for vector in (corner, edge_u, edge_v))
     lengths = length(edge_u), length(edge_v)
     u, v = (np.linspace(0, 1, int(np.ceil(side / cell_m)) + 1) for side in lengths)
@@ -127,7 +150,10 @@ def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, ce
 
 
 def box(low: Vector, high: Vector, material: Material, cell_m: float = 0.05) -> list[Surface]:
-    """Return the six sides of an axis-parallel box; the texture's rows run along the longer edge of each side, as grain does."""
+    """Return the six sides of an axis-parallel box.
+
+    The texture's rows run along the longer edge of each side, as grain does.
+    """
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     sides = []
     for axis in range(3):
@@ -144,7 +170,8 @@ def turned(profile: Profile, material: Material, sides: int = 24) -> Surface:
     """Body of revolution about z.
 
     Args:
-        profile: (n, 2) radius and height in metres, from the bottom upwards; radii of 0 close the body.
+        profile: (n, 2) radius and height in metres, from the bottom upwards; radii of 0 close the
+            body.
     """
     profile = np.asarray(profile, np.float64)
     radius, height = np.maximum(profile[:, 0], 1e-5)[:, None], profile[:, 1][:, None]
@@ -152,7 +179,12 @@ def turned(profile: Profile, material: Material, sides: int = 24) -> Surface:
     points = np.stack([radius * cos(angle), radius * sin(angle), height + 0 * angle], axis=-1)
     points[:, -1] = points[:, 0]
     along = np.concatenate([[0.0], np.cumsum(length(np.diff(profile, axis=0)))])[:, None]
-    return sheet(points, np.stack([angle * radius.max() + 0 * along, along + 0 * angle], -1), material, closed=True)
+    return sheet(
+        points,
+        np.stack([angle * radius.max() + 0 * along, along + 0 * angle], -1),
+        material,
+        closed=True,
+    )
 
 
 def ellipsoid(radii: Vector, material: Material, sides: int = 24) -> Surface:
@@ -163,8 +195,13 @@ def ellipsoid(radii: Vector, material: Material, sides: int = 24) -> Surface:
     return replace(scaled, uv=ball.uv * float(np.mean(np.asarray(radii))))
 
 
-def rod(start: Vector, end: Vector, radii: tuple[float, float], material: Material, sides: int = 12) -> Surface:
-    """Straight tapered rod with round ends between two points; radii at the start and at the end, metres."""
+def rod(
+    start: Vector, end: Vector, radii: tuple[float, float], material: Material, sides: int = 12
+) -> Surface:
+    """Straight tapered rod with round ends between two points.
+
+    Radii at the start and at the end, metres.
+    """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     height = float(length(end - start))
     cap = np.linspace(0, np.pi / 2, 4)

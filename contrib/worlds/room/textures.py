@@ -1,6 +1,7 @@
 """Procedural albedo of walls, boards, cloth and labels, each from a seeded generator.
 
-Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; the first image axis points down.
+Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; the first image axis
+points down.
 """
 
 import numpy as np
@@ -8,23 +9,38 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.kernels.portable import blur, cos, enlarge, shrink, sin
 
-PICTURES = ("astronaut", "chelsea", "coffee", "rocket", "hubble_deep_field", "moon", "camera", "retina")
+PICTURES = (
+    "astronaut",
+    "chelsea",
+    "coffee",
+    "rocket",
+    "hubble_deep_field",
+    "moon",
+    "camera",
+    "retina",
+)
 TEXELS_PER_METRE = 400
 Colour = tuple[float, float, float]
 Size = tuple[float, float]
 
 
 def picture(name: str, width: int = 320, height: int | None = None) -> Image8:
-    """Return one of `PICTURES` at a width and a height in pixels, by default that of its proportions, RGB uint8 (H, W, 3)."""
+    """Return one of `PICTURES` at a width and a height in pixels, by default that of its
+    proportions, RGB uint8 (H, W, 3).
+    """
     from skimage import data
 
     image = np.asarray(getattr(data, name)())
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
-    return np.rint(shrink(image, height or round(image.shape[0] * width / image.shape[1]), width)).astype(np.uint8)
+    return np.rint(
+        shrink(image, height or round(image.shape[0] * width / image.shape[1]), width)
+    ).astype(np.uint8)
 
 
-def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, octaves: int = 4) -> Map:
+def fractal_noise(
+    rng: np.random.Generator, shape: tuple[int, int], cell: Size, octaves: int = 4
+) -> Map:
     """Smooth noise of mean 0 and standard deviation near 1.
 
     Args:
@@ -33,7 +49,9 @@ def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, 
     """
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):
-        rows, columns = (max(2, min(int(n * 2**octave / c) + 2, n)) for n, c in zip(shape, cell, strict=True))
+        rows, columns = (
+            max(2, min(int(n * 2**octave / c) + 2, n)) for n, c in zip(shape, cell, strict=True)
+        )
         grid = rng.standard_normal((rows, columns)).astype(np.float32)
         total += 0.5**octave * enlarge(grid, *shape)
     return (total - total.mean()) / max(float(total.std()), 1e-6)
@@ -66,7 +84,11 @@ def wallpaper(rng: np.random.Generator, size_m: Size, ground: Colour, figure: Co
     stem = np.clip((0.014 - np.abs(u + 0.04 * sin(6 * v))) / 0.01, 0, 1)
     pattern = np.clip(flower + 0.6 * stem + 0.12 * (cos(2 * np.pi * x / repeat * 4) > 0), 0, 1)
     pattern *= 0.75 + 0.2 * fractal_noise(rng, shape, (90, 90), 3)
-    fading = 1 + 0.05 * fractal_noise(rng, shape, (300, 300), 4) + 0.015 * fractal_noise(rng, shape, (3, 3), 1)
+    fading = (
+        1
+        + 0.05 * fractal_noise(rng, shape, (300, 300), 4)
+        + 0.015 * fractal_noise(rng, shape, (3, 3), 1)
+    )
     return _encode(_mix(ground, figure, np.clip(pattern, 0, 1)) * fading[..., None])
 
 
@@ -79,8 +101,14 @@ def bricks(rng: np.random.Generator, size_m: Size, colour: Colour, mortar: Colou
     along = x / 0.225 + 0.5 * (course % 2)
     brick = np.floor(along).astype(int)
     tones = rng.normal(1.0, 0.14, (97, 89)).astype(np.float32)[course % 97, brick % 89]
-    gap_m = np.minimum(np.abs((y / 0.075 + 0.5) % 1 - 0.5) * 0.075, np.abs((along + 0.5) % 1 - 0.5) * 0.225)
-    wear = 1 + 0.09 * fractal_noise(rng, shape, (24, 24), 4) + 0.05 * fractal_noise(rng, shape, (250, 250), 3)
+    gap_m = np.minimum(
+        np.abs((y / 0.075 + 0.5) % 1 - 0.5) * 0.075, np.abs((along + 0.5) % 1 - 0.5) * 0.225
+    )
+    wear = (
+        1
+        + 0.09 * fractal_noise(rng, shape, (24, 24), 4)
+        + 0.05 * fractal_noise(rng, shape, (250, 250), 3)
+    )
     face = _paint(colour, tones) * wear[..., None]
     return _encode(_blend(face, _paint(mortar, wear), np.clip((0.006 - gap_m) / 0.003, 0, 1)))
 
@@ -98,19 +126,28 @@ def boards(rng: np.random.Generator, size_m: Size, colour: Colour, width_m: floa
     offset = rng.uniform(0, 1.3, 211).astype(np.float32)[board % 211]
     piece = np.floor((x + offset) / 1.3).astype(int)
     tone = rng.normal(1.0, 0.11, (211, 31)).astype(np.float32)[board % 211, piece % 31]
-    gap_m = np.minimum(np.abs((y / width_m + 0.5) % 1 - 0.5) * width_m, np.abs(((x + offset) / 1.3 + 0.5) % 1 - 0.5) * 1.3)
+    gap_m = np.minimum(
+        np.abs((y / width_m + 0.5) % 1 - 0.5) * width_m,
+        np.abs(((x + offset) / 1.3 + 0.5) % 1 - 0.5) * 1.3,
+    )
     gap = 1 - 0.55 * np.clip((0.0035 - gap_m) / 0.0025, 0, 1)
     return _encode(_paint(colour, _grain(rng, shape) * tone * gap))
 
 
-def fabric(rng: np.random.Generator, size_m: Size, ground: Colour, stripe: Colour, kind: str) -> Image8:
+def fabric(
+    rng: np.random.Generator, size_m: Size, ground: Colour, stripe: Colour, kind: str
+) -> Image8:
     """Woven cloth; `kind` is ``stripes``, ``check`` or ``plain``."""
     shape = _shape(size_m)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32) / TEXELS_PER_METRE
     pitch = rng.uniform(0.035, 0.06)
     bands_x, bands_y = (np.clip(3 * cos(2 * np.pi * a / pitch) - 1.2, 0, 1) for a in (x, y))
     pattern = {"stripes": bands_y, "check": 0.5 * bands_x + 0.5 * bands_y, "plain": 0 * x}[kind]
-    folds = 1 + 0.05 * fractal_noise(rng, shape, (60, 60), 4) + 0.05 * fractal_noise(rng, shape, (3, 3), 1)
+    folds = (
+        1
+        + 0.05 * fractal_noise(rng, shape, (60, 60), 4)
+        + 0.05 * fractal_noise(rng, shape, (3, 3), 1)
+    )
     return _encode(_mix(ground, stripe, pattern) * folds[..., None])
 
 
@@ -126,7 +163,9 @@ def rug(rng: np.random.Generator, size_m: Size, colours: list[Colour]) -> Image8
     return _encode(image * (1 + 0.12 * fractal_noise(rng, shape, (5, 5), 3))[..., None])
 
 
-def bands(rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: list[float]) -> Image8:
+def bands(
+    rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: list[float]
+) -> Image8:
     """Return the horizontal bands from bottom to top, as on a labelled bottle or a book's back.
 
     Args:
@@ -135,21 +174,31 @@ def bands(rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: 
     """
     shape = _shape(size_m)
     height = 1 - (np.arange(shape[0], dtype=np.float32) + 0.5) / shape[0]
-    image = np.array(colours, np.float32)[np.searchsorted(edges, height)][:, None].repeat(shape[1], axis=1)
+    image = np.array(colours, np.float32)[np.searchsorted(edges, height)][:, None].repeat(
+        shape[1], axis=1
+    )
     ink = fractal_noise(rng, shape, (9, 16), 2)
     return _encode(image * (1 - 0.25 * (ink > 0.8) + 0.04 * ink)[..., None])
 
 
-def mottled(rng: np.random.Generator, colour: Colour, strength: float = 0.08, cell_m: float = 0.04) -> Image8:
+def mottled(
+    rng: np.random.Generator, colour: Colour, strength: float = 0.08, cell_m: float = 0.04
+) -> Image8:
     """Return a natural surface without a pattern (fruit skin, stone, leaf, clay), 0.5 m square."""
     shape = _shape((0.5, 0.5))
-    return _encode(_paint(colour, 1 + strength * fractal_noise(rng, shape, (cell_m * TEXELS_PER_METRE,) * 2, 4)))
+    return _encode(
+        _paint(
+            colour, 1 + strength * fractal_noise(rng, shape, (cell_m * TEXELS_PER_METRE,) * 2, 4)
+        )
+    )
 
 
 def outdoors(rng: np.random.Generator, size_m: Size) -> Image8:
     """Paint the view from a window: a sky, hedges, a lawn, all out of focus."""
     shape = _shape(size_m)
-    height = np.linspace(1, 0, shape[0], dtype=np.float32)[:, None] + 0.06 * fractal_noise(rng, shape, (60, 60), 4)
+    height = np.linspace(1, 0, shape[0], dtype=np.float32)[:, None] + 0.06 * fractal_noise(
+        rng, shape, (60, 60), 4
+    )
     sky = _mix((0.95, 0.97, 1.0), (0.62, 0.78, 0.97), np.clip(height, 0, 1))
     leaves = _paint((0.35, 0.48, 0.25), 1 + 0.3 * fractal_noise(rng, shape, (40, 40), 3))
     image = _blend(sky, leaves, np.clip((0.45 - height) / 0.04, 0, 1))
@@ -163,7 +212,9 @@ def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Map:
 
 
 def _cosine_of_multiple(multiple: int, cosine: Map) -> Map:
-    """Return the cosine of a multiple, at least 1, of the angles that have these cosines (Chebyshev)."""
+    """Return the cosine of a multiple, at least 1, of the angles that have these cosines
+    (Chebyshev).
+    """
     before, cosine_now = np.ones_like(cosine), cosine
     for _ in range(multiple - 1):
         before, cosine_now = cosine_now, 2 * cosine * cosine_now - before

@@ -14,9 +14,11 @@ class InverseDistance(GeometryGuided):
         super().__init__(blender=self)
 
     def blend(self, inputs):
-        """Return the weighted mean of the splats; `inputs.depth` would be the fused depth, (H, W)."""
-        centre = inputs.instant.target.centre
-        distances = [np.linalg.norm(source.camera.centre - centre) for source in inputs.instant.sources]
-        shares = np.stack([splat.alpha / d**2 for splat, d in zip(inputs.splats, distances, strict=True)])
-        weights = shares / np.maximum(shares.sum(axis=0), 1e-6)  # (K, H, W)
-        return Blended(sum(w[..., None] * splat.features[..., :3] for w, splat in zip(weights, inputs.splats, strict=True)))
+        """Return the mean of the splats; `inputs.depth` would be the fused depth, (H, W)."""
+        target, sources = inputs.instant.target, inputs.instant.sources
+        distances = [np.linalg.norm(source.camera.centre - target.centre) for source in sources]
+        alphas = np.stack([splat.alpha for splat in inputs.splats])  # (K, H, W)
+        shares = alphas / np.square(distances)[:, None, None]
+        weights = shares / np.maximum(shares.sum(axis=0), 1e-6)
+        colours = np.stack([splat.features[..., :3] for splat in inputs.splats])
+        return Blended((weights[..., None] * colours).sum(axis=0))

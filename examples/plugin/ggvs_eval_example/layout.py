@@ -21,10 +21,19 @@ def load(path, units):
     rig = json.loads((path / "rig.json").read_text())
     videos = {name: VideoFrames(path / f"{name}.mp4") for name in rig}
     cameras = [
-        Camera(name, np.array(of["K"]), np.array(of["world_to_camera"]), *videos[name].size, of["near"], of["far"])
+        Camera(
+            name,
+            np.array(of["K"]),
+            np.array(of["world_to_camera"]),
+            *videos[name].size,
+            of["near"],
+            of["far"],
+        )
         for name, of in rig.items()
     ]
-    return assemble_capture(path, "rig-json", cameras, list(videos.values()), choose_units(path, units, cameras))
+    return assemble_capture(
+        path, "rig-json", cameras, list(videos.values()), choose_units(path, units, cameras)
+    )
 
 
 RIG_JSON = DatasetSpec("rig.json with CAM.mp4", refuse, load, marks=("rig.json",))

@@ -10,9 +10,11 @@ class NearestView:
     """Source view of the camera nearest to the target."""
 
     def step(self, instant):
-        """Synthesise one instant from its source views; nothing of the future and nothing of the target's image is there."""
+        """Synthesise one instant; neither the future nor the target's own image is there."""
         target = instant.target
-        distances = [np.linalg.norm(source.camera.centre - target.centre) for source in instant.sources]
+        distances = [
+            np.linalg.norm(source.camera.centre - target.centre) for source in instant.sources
+        ]
         nearest = instant.sources[int(np.argmin(distances))]
         image = cv2.resize(nearest.image, target.size, interpolation=cv2.INTER_AREA)
         return Rendering(image.astype(np.float32) / 255)  # (H, W, 3), RGB in [0, 1]

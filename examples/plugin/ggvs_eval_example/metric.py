@@ -6,13 +6,17 @@ from ggvs_eval.metrics.metric import QUALITY, ViewMetric
 
 
 def p99(rendered, truth):
-    """99th percentile of the absolute error of a frame, in levels of 255; both images are (H, W, 3) uint8."""
+    """99th percentile of the absolute error of a frame, in levels of 255.
+
+    Both images are (H, W, 3) uint8.
+    """
     return float(np.percentile(np.abs(rendered.astype(int) - truth), 99))
 
 
 P99 = ViewMetric(
     name="P99",
-    kind="frame",  # one value per frame; its number is their mean, and the interval follows from that
+    # one value per frame; its number is their mean, and the interval follows from that
+    kind="frame",
     function=p99,
     unit="levels",
     higher_is_better=False,

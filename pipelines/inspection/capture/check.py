@@ -1,6 +1,8 @@
-"""The check of a capture: open it, walk once through every camera's frames, and answer the questions.
+"""The check of a capture: open it, walk once through every camera's frames, and answer the
+questions.
 
-World units per metre, where they come from and the sizes that they imply; and frames without a calibration yet.
+World units per metre, where they come from and the sizes that they imply; and frames without a
+calibration yet.
 """
 
 import os
@@ -39,7 +41,10 @@ from ggvs_eval.pipelines.inspection.capture import (
     timing,
 )
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.inspection.capture.depth_registration import REGISTRATION_QUESTION, check_depth_registration
+from ggvs_eval.pipelines.inspection.capture.depth_registration import (
+    REGISTRATION_QUESTION,
+    check_depth_registration,
+)
 from ggvs_eval.pipelines.inspection.capture.pairs import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
@@ -77,7 +82,9 @@ class CaptureCheck:
 
     def to_json(self) -> dict[str, Any]:
         """Return the check as plain values for a JSON file."""
-        findings = [{**asdict(finding), "values": dict(finding.values)} for finding in self.findings]
+        findings = [
+            {**asdict(finding), "values": dict(finding.values)} for finding in self.findings
+        ]
         return {
             "capture": str(self.path),
             "is_usable": self.is_usable,
@@ -86,28 +93,45 @@ class CaptureCheck:
         }
 
     def table(self, width: int = WIDTH) -> str:
-        """Return the check as text: one line per question, and one for each group of cameras that deviate."""
+        """Return the check as text: one line per question, and one for each group of cameras that
+        deviate.
+        """
         return findings_table(self.findings, width)
 
 
-def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:
+def check_capture(
+    path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1
+) -> CaptureCheck:
     """Find faults of a capture that would spoil results.
 
-    Every frame is decoded once. A capture that does not open gives one bad finding, and the findings of its frames; a frame that
-    cannot be read is a finding too, and the other cameras continue.
+    Every frame is decoded once. A capture that does not open gives one bad finding, and the
+    findings of its frames; a frame that cannot be read is a finding too, and the other cameras
+    continue.
     """
     start = time.perf_counter()
     try:
         uncalibrated = open_uncalibrated(path) if layout is None else None
         capture = uncalibrated or open_capture(path, layout, units=units)
     except GgvsError as error:
-        return CaptureCheck(path, _examine_unopened(path, str(error), workers), time.perf_counter() - start)
+        return CaptureCheck(
+            path, _examine_unopened(path, str(error), workers), time.perf_counter() - start
+        )
     records = record_cameras(capture, workers)
     if uncalibrated:
         findings = examine_frames(ExaminedRig(capture, records))
         advice = f"ggvs-eval calibrate {capture.path} RIG, then check RIG"
         unanswered = _unanswered(findings)
-        findings += tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in unanswered)
+        findings += tuple(
+            Finding(
+                subject=RIG,
+                question=question,
+                verdict="unknown",
+                measured="no calibration yet",
+                values={},
+                advice=advice,
+            )
+            for question in unanswered
+        )
     else:
         findings = examine(ExaminedRig(capture, records))
     return CaptureCheck(path, findings, time.perf_counter() - start)
@@ -162,13 +186,17 @@ class ExaminedRig:
     def calibration(self) -> epipolar_findings.ClipVerdict:
         """What matches between the cameras say of their poses."""
         frames = sorted({*self.records[0].instants, 0})
-        instants = {frame: [record.instants.get(frame) for record in self.records] for frame in frames}
+        instants = {
+            frame: [record.instants.get(frame) for record in self.records] for frame in frames
+        }
         return epipolar_findings.check_clip(self.capture.cameras, instants)
 
     @cached_property
     def depths(self) -> Mapping[int, Array]:
         """Depths of triangulated matches of the first instant by camera, world units."""
-        return triangulated_depths(self.capture.cameras, self.calibration.at[0].pairs, self.calibration.trusted)
+        return triangulated_depths(
+            self.capture.cameras, self.calibration.at[0].pairs, self.calibration.trusted
+        )
 
 
 def examine_frames(rig: ExaminedRig) -> tuple[Finding, ...]:
@@ -183,17 +211,40 @@ def examine(rig: ExaminedRig) -> tuple[Finding, ...]:
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
     """Report why a capture does not open, and findings on its frames if there are some."""
-    findings: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
+    findings: tuple[Finding, ...] = (
+        Finding(
+            subject=RIG,
+            question=OPENS,
+            verdict="bad",
+            measured=message,
+            values={},
+            advice="fix this first",
+        ),
+    )
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))
         findings += examine_frames(ExaminedRig(filmed, record_cameras(filmed, workers)))
     except GgvsError:
         pass  # no frames of a rig; the first finding says what is wrong
-    return (*findings, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(findings)))
+    return (
+        *findings,
+        *(
+            Finding(
+                subject=RIG,
+                question=question,
+                verdict="unknown",
+                measured="the capture does not open",
+            )
+            for question in _unanswered(findings)
+        ),
+    )
 
 
 def pair_by_time(path: Path) -> str:
-    """Make all commands pair the frames of a capture by time where they are out of step; gives the file and what it does."""
+    """Make all commands pair the frames of a capture by time where they are out of step.
+
+    Gives the file and what it does.
+    """
     try:
         if not open_uncalibrated(path):
             open_capture(path, measure_depth=False)
@@ -216,10 +267,14 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
         depths: depths of triangulated matches per camera, world units, if there are any.
     """
     medians = [float(np.median(values)) for values in depths.values() if len(values)]
-    depth = float(np.median(medians or [np.sqrt(camera.near * camera.far) for camera in capture.cameras]))
+    depth = float(
+        np.median(medians or [np.sqrt(camera.near * camera.far) for camera in capture.cameras])
+    )
     depth_m = depth / capture.units_per_metre
     spacing_m = (
-        float(np.median(neighbour_spacing(capture.cameras))) / capture.units_per_metre if len(capture.cameras) > 1 else np.nan
+        float(np.median(neighbour_spacing(capture.cameras))) / capture.units_per_metre
+        if len(capture.cameras) > 1
+        else np.nan
     )
     values: dict[str, object] = {
         "units_per_metre": capture.units_per_metre,
@@ -228,41 +283,81 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
     }
     if capture.units_origin.startswith(GUESS):
         return (_guessed(capture, depth, spacing_m * capture.units_per_metre, values),)
-    text = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
+    text = (
+        f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene "
+        f"{depth_m:.2f} m away"
+    )
     if np.isfinite(spacing_m):
         values["spacing_m"] = round(spacing_m, 4)
         text += f", neighbours {100 * spacing_m:.0f} cm apart"
-    if not SCENE_M[0] < depth_m < SCENE_M[1] or not (np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]):
-        return (Finding(RIG, SIZE_QUESTION, "warn", text, values, "measure a baseline and give the units (--units)"),)
-    return (Finding(RIG, SIZE_QUESTION, "ok", text, values),)
+    if not SCENE_M[0] < depth_m < SCENE_M[1] or not (
+        np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]
+    ):
+        return (
+            Finding(
+                subject=RIG,
+                question=SIZE_QUESTION,
+                verdict="warn",
+                measured=text,
+                values=values,
+                advice="measure a baseline and give the units (--units)",
+            ),
+        )
+    return (
+        Finding(subject=RIG, question=SIZE_QUESTION, verdict="ok", measured=text, values=values),
+    )
 
 
 def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
     """Return the finding in world units, for a capture of which nothing is known in metres."""
-    near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
-    text = f"unknown scale; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    near, far = (
+        min(camera.near for camera in capture.cameras),
+        max(camera.far for camera in capture.cameras),
+    )
+    text = (
+        f"unknown scale; in world units the scene is within {near:.3g} .. {far:.3g}, "
+        f"{depth:.3g} at the median"
+    )
     if np.isfinite(spacing):
         values["spacing_units"] = round(spacing, 4)
         text += f", neighbours {spacing:.3g} apart"
     text += f"; {capture.units_per_metre:.4g} units per metre assumed ({capture.units_origin})"
-    advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
-    return Finding(RIG, SIZE_QUESTION, "warn", text, values, advice)
+    advice = (
+        "measure one baseline or two points and give it (units.toml); thresholds in metres "
+        "depend on it"
+    )
+    return Finding(
+        subject=RIG,
+        question=SIZE_QUESTION,
+        verdict="warn",
+        measured=text,
+        values=values,
+        advice=advice,
+    )
 
 
 # In the order of the table; a check of your own is one line here.
 ANSWERS: Mapping[str, Callable[[ExaminedRig], tuple[Finding, ...]]] = {
     frames.FRAMES: lambda rig: frames.check_frames(rig.capture, rig.records),
     frames.FROZEN: lambda rig: frames.check_frozen(rig.records, rig.capture.fps),
-    stillness.QUESTION: lambda rig: stillness.check_stillness(rig.capture.cameras, rig.records, rig.capture.fps),
-    poses.POSES_QUESTION: lambda rig: poses.check_poses(rig.capture.cameras, rig.calibration.suspects),
+    stillness.QUESTION: lambda rig: stillness.check_stillness(
+        rig.capture.cameras, rig.records, rig.capture.fps
+    ),
+    poses.POSES_QUESTION: lambda rig: poses.check_poses(
+        rig.capture.cameras, rig.calibration.suspects
+    ),
     poses.INTRINSICS_QUESTION: lambda rig: poses.check_intrinsics(rig.capture.cameras),
     lens.QUESTION: lambda rig: lens.check_lens(rig.capture),
     depth_range.DEPTH_QUESTION: lambda rig: depth_range.check_depth_range(
         rig.capture.cameras, rig.depths, rig.calibration.suspects
     ),
-    depth_range.OVERLAP_QUESTION: lambda rig: depth_range.check_overlap(rig.capture.cameras, rig.capture.sensed_cameras),
+    depth_range.OVERLAP_QUESTION: lambda rig: depth_range.check_overlap(
+        rig.capture.cameras, rig.capture.sensed_cameras
+    ),
     epipolar_findings.QUESTION: lambda rig: rig.calibration.findings,
-    timing.QUESTION: lambda rig: timing.check_timing(rig.capture.cameras, rig.records, rig.calibration.suspects, rig.capture.fps),
+    timing.QUESTION: lambda rig: timing.check_timing(
+        rig.capture.cameras, rig.records, rig.calibration.suspects, rig.capture.fps
+    ),
     timing.DROPPED: lambda _: (),  # answered with the offset
     colour.GAIN: lambda rig: colour.check_gain(rig.capture.camera_names, rig.calibration.pairs),
     colour.DRIFT: lambda rig: colour_drift.check_drift(
@@ -272,19 +367,23 @@ ANSWERS: Mapping[str, Callable[[ExaminedRig], tuple[Finding, ...]]] = {
     SIZE_QUESTION: lambda rig: check_scale(rig.capture, rig.depths),
     REGISTRATION_QUESTION: lambda rig: check_depth_registration(rig.capture),
 }
-QUESTIONS = tuple(question for question in ANSWERS if question != REGISTRATION_QUESTION)  # that every capture has
+# that every capture has
+QUESTIONS = tuple(question for question in ANSWERS if question != REGISTRATION_QUESTION)
 OF_FRAMES = (frames.FRAMES, frames.FROZEN, stillness.QUESTION, colour.NOISE)  # that need no poses
 
 
 def open_uncalibrated(path: Path) -> Capture | None:
-    """Open the frames of a folder that is no capture yet; None if it is one, or holds no frames of two cameras.
+    """Open the frames of a folder that is no capture yet.
+
+    None if it is one, or holds no frames of two cameras.
 
     A folder that shows a calibration is none of these, though nothing can read it whole.
 
     The cameras are placeholders at one place, which nothing may be computed from.
 
     Raises:
-        CaptureError: a calibration that cannot be read, or frames that do not fit each other, as those of one capture must.
+        CaptureError: a calibration that cannot be read, or frames that do not fit each other, as
+            those of one capture must.
     """
     try:
         detect_layout(path)
@@ -302,11 +401,22 @@ def open_uncalibrated(path: Path) -> Capture | None:
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
-    """Return the frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
+    """Return the frames by the names of their cameras as a capture.
+
+    The cameras are placeholders, see `open_uncalibrated`.
+    """
     cameras = [placeholder_camera(name, *file.size) for name, file in files.items()]
     return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
 
 
 def placeholder_camera(name: str, width: int, height: int) -> Camera:
     """Return a camera of which only the size is known."""
-    return Camera(name, pinhole_K(width, width, width / 2, height / 2), np.eye(4), width, height, 1.0, 2.0)
+    return Camera(
+        name=name,
+        K=pinhole_K(width, width, width / 2, height / 2),
+        world_to_camera=np.eye(4),
+        width=width,
+        height=height,
+        near=1.0,
+        far=2.0,
+    )

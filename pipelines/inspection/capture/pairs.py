@@ -1,4 +1,6 @@
-"""Pairs of cameras that are compared: the points they share, their epipolar errors, and which cameras these accuse."""
+"""Pairs of cameras that are compared: the points they share, their epipolar errors, and which
+cameras these accuse.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +23,8 @@ from ggvs_eval.progress import track
 
 ITERATIONS = 30
 SMALLEST_RESIDUAL = 1e-3
-# Baseline as a share of the depth below which the direction from one camera to the other is mostly noise.
+# Baseline as a share of the depth below which the direction from one camera to the other is mostly
+# noise.
 LEAST_BASELINE = 0.005
 # The same scene is in front of all cameras; matches behind one mean that its pose is turned away.
 FRONT_SHARE = 0.5
@@ -41,8 +44,12 @@ def match_pairs(
     return [pair for pair in matches if pair is not None]
 
 
-def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences: Array, weights: Array) -> Array:
-    """Return the values x with x[i] - x[j] as near to the measured differences as can be; wrong pairs are outvoted.
+def solve_differences(
+    count: int, pairs: Sequence[tuple[int, int]], differences: Array, weights: Array
+) -> Array:
+    """Return the values x with x[i] - x[j] as near to the measured differences as can be.
+
+    Wrong pairs are outvoted.
 
     Args:
         pairs: (i, j) of each measurement.
@@ -50,11 +57,13 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
         weights: trust in each, positive, (P,).
 
     Returns:
-        (count,) values whose median is 0; NaN for cameras that no chain of pairs connects with the largest group.
+        (count,) values whose median is 0; NaN for cameras that no chain of pairs connects with the
+        largest group.
 
     Reading:
-        The sum of weighted absolute residuals is minimised (least squares, reweighted): a few pairs with gross errors leave no
-        trace, where a plain least-squares solution would spread them over the rig.
+        The sum of weighted absolute residuals is minimised (least squares, reweighted): a few pairs
+        with gross errors leave no trace, where a plain least-squares solution would spread them
+        over the rig.
     """
     values = np.full(count, np.nan)
     group = largest_group(count, pairs)
@@ -70,17 +79,24 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
     return values - np.nanmedian(values)
 
 
-def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array) -> tuple[Array, Array]:
-    """Return the values of `solve_differences`, (count,), and their standard errors, infinite if unknown.
+def solve_with_errors(
+    count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array
+) -> tuple[Array, Array]:
+    """Return the values of `solve_differences`, (count,), and their standard errors, infinite if
+    unknown.
 
     Args:
         sigmas: standard error of each difference, positive, (P,).
 
     Reading:
-        Errors add up along a chain of pairs, as the inverse of the normal equations has it. Where residuals are larger than the
-        differences' own errors allow, in the whole rig or among a camera's own pairs, its error grows by as much.
+        Errors add up along a chain of pairs, as the inverse of the normal equations has it. Where
+        residuals are larger than the differences' own errors allow, in the whole rig or among a
+        camera's own pairs, its error grows by as much.
     """
-    values, errors = solve_differences(count, pairs, differences, 1 / sigmas), np.full(count, np.inf)
+    values, errors = (
+        solve_differences(count, pairs, differences, 1 / sigmas),
+        np.full(count, np.inf),
+    )
     pair_rows = [row for row, (i, _) in enumerate(pairs) if np.isfinite(values[i])]
     if not pair_rows:
         return values, errors
@@ -108,7 +124,10 @@ def largest_group(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
 
 
 def _least_absolute(rows: Array, differences: Array, weights: Array) -> Array:
-    """Reweighted least squares by normal equations; the common value, which differences leave open, is held at 0."""
+    """Reweighted least squares by normal equations.
+
+    The common value, which differences leave open, is held at 0.
+    """
     trust = weights.copy()
     solution: Array = np.zeros(rows.shape[1])
     for _ in range(ITERATIONS):
@@ -146,27 +165,45 @@ def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
     """Measure one pair under the given calibration."""
     first, second = cameras[pair.first], cameras[pair.second]
     if np.linalg.norm(first.centre - second.centre) < 1e-9:
-        return PairError(pair.first, pair.second, len(pair.uv_first), float("inf"), 0.0, 0.0)
+        return PairError(
+            first=pair.first,
+            second=pair.second,
+            n_matches=len(pair.uv_first),
+            median_px=float("inf"),
+            error_px=0.0,
+            front_share=0.0,
+        )
     errors = epipolar_errors(first, second, pair.uv_first, pair.uv_second)
     depth_first, depth_second, angle_rad = ray_depths(first, second, pair.uv_first, pair.uv_second)
     telling = angle_rad > SMALLEST_ANGLE_RAD
-    front = float(((depth_first > 0) & (depth_second > 0))[telling].mean()) if telling.any() else 1.0
+    front = (
+        float(((depth_first > 0) & (depth_second > 0))[telling].mean()) if telling.any() else 1.0
+    )
     median = float(np.median(errors))
     error = 1.2533 * 1.4826 * float(np.median(np.abs(errors - median))) / np.sqrt(len(errors))
-    return PairError(pair.first, pair.second, len(errors), median, error, front)
+    return PairError(
+        first=pair.first,
+        second=pair.second,
+        n_matches=len(errors),
+        median_px=median,
+        error_px=error,
+        front_share=front,
+    )
 
 
 def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
     """Return whether a pair contradicts the calibration."""
     tolerance_px = max(tolerances(cameras[index])[0] for index in (error.first, error.second))
-    return error.median_px - SIGMAS * error.error_px > tolerance_px or error.front_share < FRONT_SHARE
+    return (
+        error.median_px - SIGMAS * error.error_px > tolerance_px or error.front_share < FRONT_SHARE
+    )
 
 
 def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]:
     """Return the cameras that explain the wrong pairs, the most suspect first.
 
-    The camera with the largest share of wrong pairs is taken out with its pairs, as long as more than half of its pairs are
-    wrong: its neighbours, which are wrong only together with it, stay.
+    The camera with the largest share of wrong pairs is taken out with its pairs, as long as more
+    than half of its pairs are wrong: its neighbours, which are wrong only together with it, stay.
     """
     wrong = {error: is_wrong(cameras, error) for error in errors}
     left, suspects = list(errors), []
@@ -176,7 +213,8 @@ def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]
             by_camera.setdefault(error.first, []).append(error)
             by_camera.setdefault(error.second, []).append(error)
         shares = {
-            index: _wrong_share([error for error in group if wrong[error]], len(group)) for index, group in by_camera.items()
+            index: _wrong_share([error for error in group if wrong[error]], len(group))
+            for index, group in by_camera.items()
         }
         camera = max(shares, key=lambda index: (shares[index], -index))
         if shares[camera][0] <= 0.5:
@@ -186,8 +224,12 @@ def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]
     return suspects
 
 
-def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, sigmas: float = 0.0) -> float:
-    """Return the error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs.
+def camera_error(
+    cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, sigmas: float = 0.0
+) -> float:
+    """Return the error of one camera: the median over its pairs of their median errors, pixels.
+
+    NaN without pairs.
 
     Args:
         sigmas: standard errors that each median is reduced by: what is certainly wrong.
@@ -196,16 +238,26 @@ def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index:
     for pair in pairs:
         if index in (pair.first, pair.second):
             error = pair_error(cameras, pair)
-            medians.append(error.median_px - sigmas * error.error_px if error.front_share >= FRONT_SHARE else float("inf"))
+            medians.append(
+                error.median_px - sigmas * error.error_px
+                if error.front_share >= FRONT_SHARE
+                else float("inf")
+            )
     return float(np.median(medians)) if medians else float("nan")
 
 
-def triangulated_depths(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], trusted: Sequence[int]) -> Mapping[int, Array]:
-    """Return the depths of matches in each trusted camera, from pairs of trusted cameras, world units."""
+def triangulated_depths(
+    cameras: Sequence[Camera], pairs: Sequence[MatchedPair], trusted: Sequence[int]
+) -> Mapping[int, Array]:
+    """Return the depths of matches in each trusted camera, from pairs of trusted cameras, world
+    units.
+    """
     depths: dict[int, list[Array]] = {}
     for pair in pairs:
         if pair.first in trusted and pair.second in trusted:
-            sound, depth_one, depth_other = sound_matches(cameras[pair.first], cameras[pair.second], pair)
+            sound, depth_one, depth_other = sound_matches(
+                cameras[pair.first], cameras[pair.second], pair
+            )
             depths.setdefault(pair.first, []).append(depth_one[sound])
             depths.setdefault(pair.second, []).append(depth_other[sound])
     return {index: np.concatenate(parts) for index, parts in depths.items()}

@@ -11,13 +11,20 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.finding import RIG, Finding, graded
 from ggvs_eval.geometry.epipolar import Features, match_features
-from ggvs_eval.pipelines.inspection.capture.records import FEWEST_CORNERS, CameraRecord, fit_similarity, robust_sigma
+from ggvs_eval.pipelines.inspection.capture.records import (
+    FEWEST_CORNERS,
+    CameraRecord,
+    fit_similarity,
+    robust_sigma,
+)
 
 QUESTION = "stands still"
-# Of the picture, pixels and share of the longer side: what a calibration is good for, and what no method can make good again.
+# Of the picture, pixels and share of the longer side: what a calibration is good for, and what no
+# method can make good again.
 WARN_PX, BAD_PX = 1.0, 3.0
 WARN_SHARE, BAD_SHARE = 0.0015, 0.004
-# Corners are found to a twentieth of a pixel; the codec's key frames and a breath of wind move them by as much.
+# Corners are found to a twentieth of a pixel; the codec's key frames and a breath of wind move them
+# by as much.
 LEAST_SIGMA_PX = 0.05
 SIGMAS = 3.0
 # A movement begins and ends where this share of it is left to do, or done.
@@ -25,13 +32,17 @@ BEGUN, DONE = 0.15, 0.85
 ADVICE = "calibrate it again from its static frames, and evaluate only those; or drop this camera"
 
 
-def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], fps: float = 0.0) -> tuple[Finding, ...]:
+def check_stillness(
+    cameras: Sequence[Camera], records: Sequence[CameraRecord], fps: float = 0.0
+) -> tuple[Finding, ...]:
     """Displacement of each picture within the clip, by what stands in it.
 
     Args:
         fps: frames per second, to give times in seconds too.
     """
-    evaluated = [_evaluate(camera, record, fps) for camera, record in zip(cameras, records, strict=True)]
+    evaluated = [
+        _evaluate(camera, record, fps) for camera, record in zip(cameras, records, strict=True)
+    ]
     moved = [finding for finding in evaluated if "moved_px" in finding.values]
     if not moved:
         reason = (
@@ -39,29 +50,55 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
             if len({finding.measured for finding in evaluated}) == 1
             else "too little of the pictures is static"
         )
-        return (Finding(RIG, QUESTION, "unknown", reason), *evaluated)
+        return (
+            Finding(subject=RIG, question=QUESTION, verdict="unknown", measured=reason),
+            *evaluated,
+        )
     sizes = [finding.values["moved_px"] for finding in moved]
     odd = [finding for finding in moved if finding.verdict != "ok"]
-    text = f"largest displacement {max(sizes):.2f} px, median {np.median(sizes):.2f} px, {len(moved)} cameras"
+    text = (
+        f"largest displacement {max(sizes):.2f} px, median {np.median(sizes):.2f} px, "
+        f"{len(moved)} cameras"
+    )
     values = {"largest_px": max(sizes), "n_moved": len(odd)}
     if len(odd) > max(len(moved) / 2, 1):
         advice = "a moving rig, or stabilised videos? poses of one instant are wrong for others"
         return (
-            Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {text}", values, advice),
+            Finding(
+                subject=RIG,
+                question=QUESTION,
+                verdict="warn",
+                measured=f"{len(odd)} of {len(moved)} cameras move; {text}",
+                values=values,
+                advice=advice,
+            ),
             *evaluated,
         )
-    return (Finding(RIG, QUESTION, "ok", text, values), *evaluated)
+    return (
+        Finding(subject=RIG, question=QUESTION, verdict="ok", measured=text, values=values),
+        *evaluated,
+    )
 
 
 def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
     shifts = record.shifts_px
     frames = np.flatnonzero(np.isfinite(shifts).all(axis=1))
     if record.n_read < 2:
-        return Finding(camera.name, QUESTION, "unknown", "fewer than two frames")
+        return Finding(
+            subject=camera.name,
+            question=QUESTION,
+            verdict="unknown",
+            measured="fewer than two frames",
+        )
     if lost := _lost(camera, record, frames):
         return lost
     if len(frames) < max(2, record.n_read / 2):
-        return Finding(camera.name, QUESTION, "unknown", "too little of the picture is static")
+        return Finding(
+            subject=camera.name,
+            question=QUESTION,
+            verdict="unknown",
+            measured="too little of the picture is static",
+        )
     series = median_filter(shifts[frames], size=(min(3, len(frames)), 1), mode="nearest")
     sizes = np.linalg.norm(series, axis=1)
     farthest = int(sizes.argmax())
@@ -69,7 +106,13 @@ def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
     verdict = graded(size, *limits_px(camera)) if size > SIGMAS * sigma else "ok"
     values = _values(camera, series[farthest], SIGMAS * sigma)
     if verdict == "ok":
-        return Finding(camera.name, QUESTION, "ok", f"{size:.2f} +- {SIGMAS * sigma:.2f} px at most", values)
+        return Finding(
+            subject=camera.name,
+            question=QUESTION,
+            verdict="ok",
+            measured=f"{size:.2f} +- {SIGMAS * sigma:.2f} px at most",
+            values=values,
+        )
     begun = int(np.flatnonzero(sizes > max(BEGUN * size, SIGMAS * sigma))[0])
     end = int(np.flatnonzero(sizes >= DONE * size)[0])
     # The middle of a jump can be lost to the median filter; the frames themselves say when.
@@ -81,7 +124,14 @@ def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
     how = _describe(series[farthest], camera)
     back = " and came back" if sizes[-1] < 0.3 * size else ""
     text = f"moved by {size:.1f} +- {SIGMAS * sigma:.1f} px {when}{back} ({how})"
-    return Finding(camera.name, QUESTION, verdict, text, values, ADVICE)
+    return Finding(
+        subject=camera.name,
+        question=QUESTION,
+        verdict=verdict,
+        measured=text,
+        values=values,
+        advice=ADVICE,
+    )
 
 
 def limits_px(camera: Camera) -> tuple[float, float]:
@@ -91,7 +141,9 @@ def limits_px(camera: Camera) -> tuple[float, float]:
 
 
 def shift_sigma(series: Array) -> float:
-    """Return the standard error of a displacement, pixels, by how it scatters from frame to frame."""
+    """Return the standard error of a displacement, pixels, by how it scatters from frame to
+    frame.
+    """
     steps = np.diff(series, axis=0)
     scatter = [robust_sigma(column) / np.sqrt(2) for column in steps.T] if len(steps) else [0.0]
     return max(float(np.linalg.norm(scatter)), LEAST_SIGMA_PX)
@@ -109,7 +161,10 @@ def describe_when(first: int, last: int, fps: float = 0.0) -> str:
 
 
 def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Finding | None:
-    """Return a camera whose picture was lost in mid-clip: features say whether it moved far; None if they, too, are silent."""
+    """Return a camera whose picture was lost in mid-clip: features say whether it moved far.
+
+    None if they, too, are silent.
+    """
     first, *later = record.instants.items()
     last_seen = int(frames[-1]) if len(frames) else 0
     for frame, features in later:
@@ -119,9 +174,22 @@ def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Fin
         if shift is None or np.linalg.norm(shift) < limits_px(camera)[1]:
             continue
         size = float(np.linalg.norm(shift))
-        values = _values(camera, shift, size / 10) | {"first_frame": last_seen + 1, "last_frame": frame}
-        text = f"moved by {size:.0f} px between frames {last_seen} and {frame} ({_describe(shift, camera)})"
-        return Finding(camera.name, QUESTION, "bad", text, values, ADVICE)
+        values = _values(camera, shift, size / 10) | {
+            "first_frame": last_seen + 1,
+            "last_frame": frame,
+        }
+        text = (
+            f"moved by {size:.0f} px between frames {last_seen} and {frame} "
+            f"({_describe(shift, camera)})"
+        )
+        return Finding(
+            subject=camera.name,
+            question=QUESTION,
+            verdict="bad",
+            measured=text,
+            values=values,
+            advice=ADVICE,
+        )
     return None
 
 
@@ -130,7 +198,9 @@ def _shift_between(first: Features, second: Features, camera: Camera) -> Array |
     middle, radius = np.array(camera.size) / 2, np.hypot(*camera.size) / 2 / np.sqrt(3)
     if len(matches) < 2 * FEWEST_CORNERS:
         return None
-    motion, inliers = fit_similarity(first.uv[matches[:, 0]] - middle, second.uv[matches[:, 1]] - middle)
+    motion, inliers = fit_similarity(
+        first.uv[matches[:, 0]] - middle, second.uv[matches[:, 1]] - middle
+    )
     if motion is None or inliers < len(matches) / 2:
         return None
     zoom, turn = np.hypot(*motion[:, 0]) - 1, np.arctan2(motion[1, 0], motion[0, 0])
@@ -154,6 +224,11 @@ def _describe(shift: Array, camera: Camera) -> str:
     values: Mapping[str, Any] = _values(camera, shift, 0.0)
     part = int(np.abs([np.linalg.norm(shift[:2]), *shift[2:]]).argmax())
     sideways = (
-        f"{abs(shift[0]):.1f} px {'right' if shift[0] > 0 else 'left'}, {abs(shift[1]):.1f} px {'down' if shift[1] > 0 else 'up'}"
+        f"{abs(shift[0]):.1f} px {'right' if shift[0] > 0 else 'left'}, {abs(shift[1]):.1f} px "
+        f"{'down' if shift[1] > 0 else 'up'}"
     )
-    return (sideways, f"turned by {values['turn_deg']:.2f} deg", f"zoomed by x {values['zoom']:.3f}")[part]
+    return (
+        sideways,
+        f"turned by {values['turn_deg']:.2f} deg",
+        f"zoomed by x {values['zoom']:.3f}",
+    )[part]

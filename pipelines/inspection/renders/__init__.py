@@ -1,1 +1,3 @@
-"""Diagnosis of renders from any source: their faults, and the conventions behind a reported number."""
+"""Diagnosis of renders from any source: their faults, and the conventions behind a reported
+number.
+"""

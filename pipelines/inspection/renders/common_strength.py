@@ -2,8 +2,8 @@
 
 A script that writes frames wrongly does so in every view alike; honest methods and cameras differ
 from view to view. So the estimates of the views are pooled, with an error that has three parts: the
-scatter of the views, how far honest views scatter as a rule (a few views say little about that), and
-what the parts of a picture disagree by, of which more views lower only some.
+scatter of the views, how far honest views scatter as a rule (a few views say little about that),
+and what the parts of a picture disagree by, of which more views lower only some.
 """
 
 from dataclasses import dataclass
@@ -55,7 +55,9 @@ def pool_strengths(values: Vector, honest: float | Vector, uneven: Vector) -> St
 
 
 def find_strengths(values: Vector, honest: float, uneven: Vector) -> list[Strength | None]:
-    """Return the strength that all views share if it explains each of them better than none does; else each view's own.
+    """Return the strength that all views share if it explains each of them better than none does.
+
+    Else each view's own.
 
     Args:
         values: (views, parameters).
@@ -77,4 +79,6 @@ def find_strengths(values: Vector, honest: float, uneven: Vector) -> list[Streng
         return [shared] * len(values)
     if len(values) == 1:
         return [None]
-    return [find_strengths(values[i : i + 1], honest, uneven[i : i + 1])[0] for i in range(len(values))]
+    return [
+        find_strengths(values[i : i + 1], honest, uneven[i : i + 1])[0] for i in range(len(values))
+    ]

@@ -1,7 +1,10 @@
-"""Quick checks of every scoring, on a burst of frames next to the captured ones; `examine` has all checks.
+"""Quick checks of every scoring, on a burst of frames next to the captured ones.
 
-Channels in another order, rendered frames that show other instants than the captured ones (earlier, later or reversed), and every
-rendered frame once, as a stream: of another size, blank, or a repetition of the one before.
+`examine` has all checks.
+
+Channels in another order, rendered frames that show other instants than the captured ones (earlier,
+later or reversed), and every rendered frame once, as a stream: of another size, blank, or a
+repetition of the one before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,17 +43,19 @@ from ggvs_eval.transforms import order_name, reordered
 
 OFFSET = "frame offset"
 FEWEST_FRAMES = 4
-# Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest renders of 18 to 30 dB had 1.09 and
-# more at every lag, and a frame's offset 0.92 at most, however slow the motion.
+# Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest
+# renders of 18 to 30 dB had 1.09 and more at every lag, and a frame's offset 0.92 at most, however
+# slow the motion.
 CERTAIN_RATIO, LIKELY_RATIO = 0.88, 0.96
-# Standard errors of its logarithm, by the scatter of the squares of a picture: of 450 honest clips of 64 to 240 columns none
-# was below -1.4.
+# Standard errors of its logarithm, by the scatter of the squares of a picture: of 450 honest clips
+# of 64 to 240 columns none was below -1.4.
 CERTAIN_DEVIATIONS, LIKELY_DEVIATIONS, SQUARE_PX = -3.0, -2.0, 12
 LEAST_CORRELATION = 0.45
 CELLS = 16
 # Contrast (standard deviation of 255 levels) of a frame without a picture, where the truth has one.
 BLANK_CONTRAST, LEAST_CONTRAST = 1.5, 8.0
-# Change of the cell that changes most: a repeated frame has hardly any, although the truth has its usual one.
+# Change of the cell that changes most: a repeated frame has hardly any, although the truth has its
+# usual one.
 STILL_SHARE, STILL_255 = 0.1, 0.5
 MOVING_SHARE, MOVING_OVER_NOISE, MOVING_255 = 0.3, 3.0, 4.0
 # Squared error of the hue (channels less their mean) relative to that of the order as it is.
@@ -58,14 +63,20 @@ CERTAIN_ORDER, LIKELY_ORDER = 0.5, 0.7
 LEAST_HUE_255 = 3.0
 
 
-def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
+def find_channel_order(
+    name: str, view: ViewFrames, sample: Sample
+) -> tuple[list[Finding], ViewFrames]:
     """Compare the hue of the pictures under every order of the channels.
 
     The mean of the channels does not depend on their order and is left out.
     """
-    rendered_hue, truth_hue = (images - images.mean(axis=-1, keepdims=True) for images in (sample.rendered, sample.truth_now))
+    rendered_hue, truth_hue = (
+        images - images.mean(axis=-1, keepdims=True)
+        for images in (sample.rendered, sample.truth_now)
+    )
     errors = {
-        order: np.square(rendered_hue[..., list(order)] - truth_hue).mean(axis=(1, 2, 3)) for order in permutations(range(3))
+        order: np.square(rendered_hue[..., list(order)] - truth_hue).mean(axis=(1, 2, 3))
+        for order in permutations(range(3))
     }
     straight = errors[0, 1, 2]
     order = min(errors, key=lambda key: float(errors[key].mean()))
@@ -74,24 +85,42 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
     if order == (0, 1, 2) or ratio > LIKELY_ORDER or hue_255 < LEAST_HUE_255:
         return [], view
     came = order_name(order)
-    values = {"hue_error_255": float(np.sqrt(straight.mean())), "hue_error_mended_255": float(np.sqrt(errors[order].mean()))}
+    values = {
+        "hue_error_255": float(np.sqrt(straight.mean())),
+        "hue_error_mended_255": float(np.sqrt(errors[order].mean())),
+    }
     text = (
         f"channels come as {came}: the hue is off by {values['hue_error_255']:.1f} of 255, "
         f"reordered by {values['hue_error_mended_255']:.1f}"
     )
-    advice = "convert before writing: OpenCV reads and writes BGR" if came == "BGR" else "reorder the channels before writing"
+    advice = (
+        "convert before writing: OpenCV reads and writes BGR"
+        if came == "BGR"
+        else "reorder the channels before writing"
+    )
     verdict = verdict_of(ratio < CERTAIN_ORDER)
-    finding = Finding(name, "channel order", verdict, text, {**values, "order": order}, advice)
+    finding = Finding(
+        subject=name,
+        question="channel order",
+        verdict=verdict,
+        measured=text,
+        values={**values, "order": order},
+        advice=advice,
+    )
     return [finding], view.with_rendered(reordered({"order": order}).inverse)
 
 
 SAMPLED_FRAMES = 12
-# Copies are looked for at full size, which costs most. With fewer frames noise is not distinguishable from static content.
+# Copies are looked for at full size, which costs most. With fewer frames noise is not
+# distinguishable from static content.
 COPIED_FRAMES = 4
 
 
 class QuickChecks:
-    """Quick checks of one view, for any number of methods; the small captured frames are read once for all."""
+    """Quick checks of one view, for any number of methods.
+
+    The small captured frames are read once for all.
+    """
 
     def __init__(self, view: str, truth: FrameReader, numbers: range) -> None:
         """Take the name of the view, its captured frames and the numbers of these."""
@@ -99,17 +128,24 @@ class QuickChecks:
         self._small_truth = _small(truth, SAMPLED_FRAMES + 2 * LARGEST_OFFSET)
 
     def check(self, rendered: FrameReader, frames: range) -> list[Finding]:
-        """Find blank, repeated and mirrored frames, other instants, swapped channels, wrong tone and copies of the truth.
+        """Find blank, repeated and mirrored frames, other instants, swapped channels, wrong tone
+        and copies of the truth.
 
-        All faults except copies are looked for in one burst in the middle, at small size. What moves a picture by less than a
-        pixel, whether it shows another camera, and what cannot be answered is left to `examine`.
+        All faults except copies are looked for in one burst in the middle, at small size. What
+        moves a picture by less than a pixel, whether it shows another camera, and what cannot be
+        answered is left to `examine`.
 
         Args:
             rendered: frames of the truth's size.
             frames: their numbers, in a row.
         """
         burst = middle_of(frames, SAMPLED_FRAMES)
-        view = ViewFrames(_small(rendered, len(burst)), self._small_truth, burst, self._numbers)
+        view = ViewFrames(
+            rendered=_small(rendered, len(burst)),
+            truth=self._small_truth,
+            frames=burst,
+            truth_frames=self._numbers,
+        )
         scan = scan_frames(self._view, view)
         usable = longest_run(scan.usable)
         if not usable:
@@ -120,9 +156,15 @@ class QuickChecks:
         view = undo_changes({self._view: view}, placed)[self._view]
         sampled, view = check_sample(self._view, view)
         tones = find_tone({self._view: take_sample(view, SAMPLED_FRAMES)})
-        sampled += [finding for finding in tones if finding.verdict == "certain"]  # likely ones need more views than one
+        # likely ones need more views than one
+        sampled += [finding for finding in tones if finding.verdict == "certain"]
         repeated = find_repeated(self._view, view, scan, sampled)
-        middle = ViewFrames(rendered, self._truth, middle_of(usable, COPIED_FRAMES), self._numbers)
+        middle = ViewFrames(
+            rendered=rendered,
+            truth=self._truth,
+            frames=middle_of(usable, COPIED_FRAMES),
+            truth_frames=self._numbers,
+        )
         copied = find_copied(self._view, middle)
         # Copies among renders of another exposure flicker, too.
         is_copied = any(finding.verdict != "unknown" for finding in copied)
@@ -139,11 +181,14 @@ class _QuickQuestion:
         """See `Question`."""
         return QuickChecks(view, truth, numbers).check
 
-    def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
+    def of_method(
+        self, method: ScoredMethod, findings: Mapping[str, list[Finding]]
+    ) -> dict[str, list[Finding]]:
         """Doubt the numbers of imported frames."""
         counted_from, start = guessed_first(method.run, method.label), method.protocol.frames.start
         return {
-            view: [doubt_numbering(finding, counted_from, start) for finding in of_view] for view, of_view in findings.items()
+            view: [doubt_numbering(finding, counted_from, start) for finding in of_view]
+            for view, of_view in findings.items()
         }
 
 
@@ -204,10 +249,11 @@ class _Timing:
 
 
 def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
-    """Correlate the change over time of rendered and captured frames at every lag, forwards and backwards.
+    """Correlate the change over time of rendered and captured frames at every lag, forwards and
+    backwards.
 
-    Static content is removed by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
-    the gain of the motion, which blur lowers, does not matter either.
+    Static content is removed by each pixel's mean over the instants, and with it most of what is
+    wrong with a rendering; the gain of the motion, which blur lowers, does not matter either.
     """
     rendered, truth = _grey(sample.rendered), _grey(sample.truth)
     lags = range(-LARGEST_OFFSET, LARGEST_OFFSET + 1)
@@ -215,15 +261,32 @@ def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Findi
     orders = {(lag, False): [index + lag for index in sample.indices] for lag in lags if lag}
     orders |= {(lag, True): [turning - index + lag for index in sample.indices] for lag in lags}
     tried = [_timing(sample, rendered, truth, numbers, *key) for key, numbers in orders.items()]
-    best = min((timing for timing in tried if timing is not None), key=lambda timing: timing.ratio, default=None)
+    best = min(
+        (timing for timing in tried if timing is not None),
+        key=lambda timing: timing.ratio,
+        default=None,
+    )
     if best is None:
-        return [Finding(name, OFFSET, "unknown", f"fewer than {FEWEST_FRAMES} frames in a row")], view
+        return [
+            Finding(
+                subject=name,
+                question=OFFSET,
+                verdict="unknown",
+                measured=f"fewer than {FEWEST_FRAMES} frames in a row",
+            )
+        ], view
     if not best.is_likely:
         order = "reversed order" if best.is_reversed else f"instant t{best.lag:+d}"
-        too_little = f"motion fits {order} about as well as t: too little moves, or too few pixels show it"
+        too_little = (
+            f"motion fits {order} about as well as t: too little moves, or too few pixels show it"
+        )
         is_refuted = best.deviations > -LIKELY_DEVIATIONS
-        return [] if is_refuted else [Finding(name, OFFSET, "unknown", too_little)], view
-    return [_finding(name, best, view.truth_range)], view.reversed(best.lag) if best.is_reversed else view.moved(best.lag)
+        return [] if is_refuted else [
+            Finding(subject=name, question=OFFSET, verdict="unknown", measured=too_little)
+        ], view
+    return [_finding(name, best, view.truth_range)], view.reversed(
+        best.lag
+    ) if best.is_reversed else view.moved(best.lag)
 
 
 def _finding(name: str, timing: _Timing, instants: range) -> Finding:
@@ -233,22 +296,37 @@ def _finding(name: str, timing: _Timing, instants: range) -> Finding:
         "correlation_without": timing.straight,
         "deviations": timing.deviations,
     }
-    reversal = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
+    reversal = (
+        f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}"
+        if timing.is_reversed
+        else ""
+    )
     text = (
-        f"{reversal or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
-        f"{timing.straight:.2f} with t, {-timing.deviations:.1f} standard errors apart"
+        f"{reversal or f'frame t shows instant t{timing.lag:+d}'}: motion correlates "
+        f"{timing.correlation:.2f} with it, {timing.straight:.2f} with t, {-timing.deviations:.1f} "
+        "standard errors apart"
     )
     common = instants[timing.lag :] if timing.lag > 0 else instants[: timing.lag or None]
     absent = as_ranges(sorted(set(instants) - set(common)))
     flags = f"--start {common.start} " * (common.start > 0) + f"--frames {len(common)}"
     advice = (
-        f"renumber the frames by {timing.lag:+d} and, as instant {absent} then has no render, score all methods under a protocol "
-        f"without it (ggvs-eval protocol CAPTURE mine.toml {flags}): first frame counted from 0 or 1, or another start?"
+        f"renumber the frames by {timing.lag:+d} and, as instant {absent} then has no render, "
+        "score all methods under a protocol without it (ggvs-eval protocol CAPTURE mine.toml "
+        f"{flags}): first frame counted from 0 or 1, or another start?"
     )
     question = "reversed time" if timing.is_reversed else OFFSET
-    advice = "number the frames from the first instant to the last" if timing.is_reversed else advice
+    advice = (
+        "number the frames from the first instant to the last" if timing.is_reversed else advice
+    )
     verdict = verdict_of(timing.ratio < CERTAIN_RATIO and timing.deviations < CERTAIN_DEVIATIONS)
-    return Finding(name, question, verdict, text, values, advice)
+    return Finding(
+        subject=name,
+        question=question,
+        verdict=verdict,
+        measured=text,
+        values=values,
+        advice=advice,
+    )
 
 
 def is_offset(finding: Finding) -> bool:
@@ -257,17 +335,25 @@ def is_offset(finding: Finding) -> bool:
 
 
 def doubt_numbering(finding: Finding, counted_from: int, start: int) -> Finding:
-    """Return an offset with another remedy, where not the frames are off but the guess how their names are counted.
+    """Return an offset with another remedy, where not the frames are off but the guess how their
+    names are counted.
 
     Args:
         finding: of one view.
         counted_from: the number in the names that was taken for the capture's first instant.
         start: first instant of the protocol.
     """
-    if not is_offset(finding) or not counted_from or finding.values["offset_frames"] != counted_from:
+    if (
+        not is_offset(finding)
+        or not counted_from
+        or finding.values["offset_frames"] != counted_from
+    ):
         return finding
     command = f"ggvs-eval protocol CAPTURE mine.toml --start {start + counted_from}"
-    advice = f"make a protocol of the instants in the file names, which seem to be counted from 0, not {counted_from} ({command})"
+    advice = (
+        "make a protocol of the instants in the file names, which seem to be counted from 0, not "
+        f"{counted_from} ({command})"
+    )
     return replace(finding, advice=advice)
 
 
@@ -277,9 +363,16 @@ def _grey(frames: Array32) -> Array32:
 
 
 def _timing(
-    sample: Sample, rendered: Array32, truth: Array32, numbers: Sequence[int], lag: int, is_reversed: bool
+    sample: Sample,
+    rendered: Array32,
+    truth: Array32,
+    numbers: Sequence[int],
+    lag: int,
+    is_reversed: bool,
 ) -> _Timing | None:
-    """Correlate the frames with the instants of these numbers; None if the truth has too few of them.
+    """Correlate the frames with the instants of these numbers.
+
+    None if the truth has too few of them.
 
     Args:
         rendered: (n, h, w).
@@ -293,14 +386,23 @@ def _timing(
     renders = rendered[[i for i, _ in pairs]]
     captures = truth[[sample.indices[i] - instants.start for i, _ in pairs]]
     lagged = truth[[number - instants.start for _, number in pairs]]
-    renders, captures, lagged = (frames - frames.mean(axis=0) for frames in (renders, captures, lagged))
+    renders, captures, lagged = (
+        frames - frames.mean(axis=0) for frames in (renders, captures, lagged)
+    )
     products = [
         _square_sums(a * b)
-        for a, b in ((renders, lagged), (lagged, lagged), (renders, captures), (captures, captures), (renders, renders))
+        for a, b in (
+            (renders, lagged),
+            (lagged, lagged),
+            (renders, captures),
+            (captures, captures),
+            (renders, renders),
+        )
     ]
     sums = np.stack(products)  # (5, squares)
     lagged_fit, straight, ratio = _unexplained(sums.sum(axis=1))
-    ratios = np.log(_unexplained(sums.sum(axis=1, keepdims=True) - sums)[2])  # without each of the squares
+    # without each of the squares
+    ratios = np.log(_unexplained(sums.sum(axis=1, keepdims=True) - sums)[2])
     error = float(np.sqrt((len(ratios) - 1) * ratios.var()))
     return _Timing(
         lag=lag,
@@ -313,25 +415,34 @@ def _timing(
 
 
 def _square_sums(products: Array32) -> Array32:
-    """Sum products (n, h, w) over the instants and over squares, (squares,), up to a common factor."""
+    """Sum products (n, h, w) over the instants and over squares, (squares,), up to a common
+    factor.
+    """
     height, width = products.shape[1:]
     size = max(width // SQUARE_PX, 1), max(height // SQUARE_PX, 1)
     return cv2.resize(products.sum(axis=0), size, interpolation=cv2.INTER_AREA).ravel()
 
 
 def _unexplained(sums: Array) -> tuple[Array, Array, Array]:
-    """Return the correlation with the instants of a lag and with the straight ones, and the ratio of what these leave.
+    """Return the correlation with the instants of a lag and with the straight ones, and the ratio
+    of what these leave.
 
     Args:
-        sums: of rendered times lagged, lagged squared, rendered times straight, straight squared, rendered squared, (5, ...).
+        sums: of rendered times lagged, lagged squared, rendered times straight, straight squared,
+            rendered squared, (5, ...).
     """
-    lagged, straight = (np.maximum(sums[place], 0) / np.sqrt(np.maximum(sums[place + 1] * sums[4], 1e-12)) for place in (0, 2))
+    lagged, straight = (
+        np.maximum(sums[place], 0) / np.sqrt(np.maximum(sums[place + 1] * sums[4], 1e-12))
+        for place in (0, 2)
+    )
     return lagged, straight, (1 - lagged**2).clip(1e-6) / (1 - straight**2).clip(1e-6)
 
 
 @dataclass(frozen=True)
 class Change:
-    """Difference of two neighbouring frames: in the cell where it is largest, and in the usual cell, levels of 255."""
+    """Difference of two neighbouring frames: in the cell where it is largest, and in the usual
+    cell, levels of 255.
+    """
 
     largest: float
     usual: float
@@ -339,7 +450,10 @@ class Change:
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of one pass over the rendered frames; `repeats` are those that hardly differ from the one before."""
+    """Result of one pass over the rendered frames.
+
+    `repeats` are those that hardly differ from the one before.
+    """
 
     findings: list[Finding]
     usable: list[int]
@@ -347,7 +461,9 @@ class Scan:
 
 
 def scan_frames(name: str, view: ViewFrames) -> Scan:
-    """Check all frames; those of the truth are read only for suspicious ones and for its usual change."""
+    """Check all frames; those of the truth are read only for suspicious ones and for its usual
+    change.
+    """
     blank: list[int] = []
     still: list[int] = []
     changes: list[float] = []
@@ -364,39 +480,78 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
             still.append(index)
         before = small if not blank or blank[-1] != index else None
     usual = float(np.median(changes)) if changes else 0.0
-    candidates = [index for index, value in zip(still, changes, strict=True) if value < max(STILL_SHARE * usual, STILL_255)]
-    blank = [index for index in blank if shrink(view.truth(index)).std(axis=(0, 1)).max() > LEAST_CONTRAST]
+    candidates = [
+        index
+        for index, value in zip(still, changes, strict=True)
+        if value < max(STILL_SHARE * usual, STILL_255)
+    ]
+    blank = [
+        index
+        for index in blank
+        if shrink(view.truth(index)).std(axis=(0, 1)).max() > LEAST_CONTRAST
+    ]
     findings = [*_wrong_size(name, view, sizes), *_blank(name, blank, len(view.frames))]
     return Scan(findings, [index for index in view.frames if index not in set(blank)], candidates)
 
 
 def change(before: Array32, after: Array32) -> Change:
     """Measure how much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
-    cells = cv2.resize(mean_of_channels(np.abs(after - before)), (CELLS, CELLS), interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(
+        mean_of_channels(np.abs(after - before)), (CELLS, CELLS), interpolation=cv2.INTER_AREA
+    )
     return Change(float(cells.max()), float(np.median(cells)))
 
 
-def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]) -> list[Finding]:
+def _wrong_size(
+    name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]
+) -> list[Finding]:
     height, width = view.truth(view.frames[0]).shape[:2]
     wrong = {size: indices for size, indices in sizes.items() if size != (width, height)}
     if not wrong:
         return []
-    sizes_text = "; ".join(f"{named_frames(indices)} {w} x {h}" for (w, h), indices in wrong.items())
+    sizes_text = "; ".join(
+        f"{named_frames(indices)} {w} x {h}" for (w, h), indices in wrong.items()
+    )
     values = {"width_px": float(next(iter(wrong))[0]), "height_px": float(next(iter(wrong))[1])}
     text = f"{sizes_text}, the truth is {width} x {height}"
-    return [Finding(name, "wrong size", "certain", text, values, f"render at {width} x {height}, do not resize after")]
+    return [
+        Finding(
+            subject=name,
+            question="wrong size",
+            verdict="certain",
+            measured=text,
+            values=values,
+            advice=f"render at {width} x {height}, do not resize after",
+        )
+    ]
 
 
 def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
     if not blank:
         return []
     text = f"{named_frames(blank)} blank ({len(blank)} of {count})"
-    advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
-    return [Finding(name, "blank frames", "certain", text, {"n_frames": float(len(blank))}, advice)]
+    advice = (
+        "render them again; black frames: is the camera inside something, or near and far wrong?"
+    )
+    return [
+        Finding(
+            subject=name,
+            question="blank frames",
+            verdict="certain",
+            measured=text,
+            values={"n_frames": float(len(blank))},
+            advice=advice,
+        )
+    ]
 
 
-def find_repeated(name: str, view: ViewFrames, scan: Scan, findings: Sequence[Finding]) -> list[Finding]:
-    """Find repeats where the truth moves; those held at an end by an offset in `findings` are its consequence, and left out."""
+def find_repeated(
+    name: str, view: ViewFrames, scan: Scan, findings: Sequence[Finding]
+) -> list[Finding]:
+    """Find repeats where the truth moves.
+
+    Those held at an end by an offset in `findings` are its consequence, and left out.
+    """
     instants = view.truth_range
     lag = sum(int(finding.values["offset_frames"]) for finding in findings if is_offset(finding))
     frozen = instants[-lag:] if lag > 0 else instants[1 : 1 - lag]
@@ -413,18 +568,41 @@ def find_repeated(name: str, view: ViewFrames, scan: Scan, findings: Sequence[Fi
         else (f"frame {repeats[0]} repeats frame {repeats[0] - 1}")
     )
     is_all = len(repeats) == len(view.frames) - 1 > 1
-    text = f"{f'all {len(view.frames)} frames show one instant' if is_all else repeats_text} while the truth moves"
+    text = (
+        f"{f'all {len(view.frames)} frames show one instant' if is_all else repeats_text} while "
+        "the truth moves"
+    )
     values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
     advice = "is time passed to the renderer? converted frame rates or dropped frames repeat some"
-    return [Finding(name, "repeated frames", "certain", text, values, advice)]
+    return [
+        Finding(
+            subject=name,
+            question="repeated frames",
+            verdict="certain",
+            measured=text,
+            values=values,
+            advice=advice,
+        )
+    ]
 
 
 def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
     """Return the median change of the truth from the frames before some frames to these."""
-    changes = [change(shrink(view.truth(index - 1)), shrink(view.truth(index))) for index in indices]
-    return Change(*(float(np.median([getattr(truth_change, part) for truth_change in changes])) for part in ("largest", "usual")))
+    changes = [
+        change(shrink(view.truth(index - 1)), shrink(view.truth(index))) for index in indices
+    ]
+    return Change(
+        *(
+            float(np.median([getattr(truth_change, part) for truth_change in changes]))
+            for part in ("largest", "usual")
+        )
+    )
 
 
 def _moves(current: Change, typical: Change) -> bool:
-    """Return whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
-    return current.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * current.usual, MOVING_255)
+    """Return whether the truth changes as it usually does, and more than by noise, which all cells
+    have alike.
+    """
+    return current.largest > max(
+        MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * current.usual, MOVING_255
+    )

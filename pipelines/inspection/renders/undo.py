@@ -18,8 +18,12 @@ def change_of(finding: Finding, view: ViewFrames) -> Transform:
     return TRANSFORMS[finding.question](finding.values, (width, height))
 
 
-def undo_changes(views: Mapping[str, ViewFrames], findings: Sequence[Finding]) -> dict[str, ViewFrames]:
-    """Return the views without the changes that were found in them, the first one taken back first."""
+def undo_changes(
+    views: Mapping[str, ViewFrames], findings: Sequence[Finding]
+) -> dict[str, ViewFrames]:
+    """Return the views without the changes that were found in them, the first one taken
+    back first.
+    """
     undone = dict(views)
     for finding in findings:
         view = undone[finding.subject]
@@ -38,11 +42,13 @@ def drop_idle(
     least: float,
     features: Callable[[Image8], Array32] = levels_of,
 ) -> list[Finding]:
-    """Drop the findings of views in which they explain little of the error: an honest bad rendering has such changes too.
+    """Drop the findings of views in which they explain little of the error: an honest bad rendering
+    has such changes too.
 
     Args:
         findings: in the order in which they are undone.
-        least: share of the squared error that the findings of a view explain together, see `explained_share`.
+        least: share of the squared error that the findings of a view explain together, see
+            `explained_share`.
         features: frame -> what is compared of it.
 
     Returns:
@@ -56,13 +62,17 @@ def drop_idle(
     return clear_findings
 
 
-def explained_share(view: ViewFrames, findings: Sequence[Finding], features: Callable[[Image8], Array32]) -> float:
-    """Return how much of the squared error of a view its findings explain, 0 to 1 or a little below.
+def explained_share(
+    view: ViewFrames, findings: Sequence[Finding], features: Callable[[Image8], Array32]
+) -> float:
+    """Return how much of the squared error of a view its findings explain, 0 to 1 or a little
+    below.
 
     Reading:
-        Interpolation blurs, and blur alone lowers the error of a bad rendering. So the pictures without the change are compared
-        with pictures that have it twice, which are blurred alike: where the error is quadratic in the change, a quarter of the
-        difference is what the change costs.
+        Interpolation blurs, and blur alone lowers the error of a bad rendering. So the pictures
+        without the change are compared with pictures that have it twice, which are blurred alike:
+        where the error is quadratic in the change, a quarter of the difference is what the change
+        costs.
     """
     (without,) = undo_changes({findings[0].subject: view}, findings).values()
     twice = view
@@ -72,6 +82,13 @@ def explained_share(view: ViewFrames, findings: Sequence[Finding], features: Cal
     errors = []
     for version in (view, without, twice):
         pairs = version.pairs(frames)
-        errors.append(np.mean([np.square(features(rendered) - features(truth)).mean() for rendered, truth in pairs]))
+        errors.append(
+            np.mean(
+                [
+                    np.square(features(rendered) - features(truth)).mean()
+                    for rendered, truth in pairs
+                ]
+            )
+        )
     as_it_is, none, double = errors
     return float((double - none) / 4 / max(as_it_is, 1e-9))

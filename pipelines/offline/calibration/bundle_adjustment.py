@@ -1,8 +1,11 @@
-"""Bundle adjustment of matched features by pycolmap: the script of a `SideProcess`, since it breaks the writing of PNG files."""
+"""Bundle adjustment of matched features by pycolmap: the script of a `SideProcess`, since it breaks
+the writing of PNG files.
+"""
 
 from typing import Any
 
-ROUNDS_PX = (8.0, 4.0, 2.0)  # of triangulation and adjustment: after each, points that cameras miss by more are dropped
+# of triangulation and adjustment: after each, points that cameras miss by more are dropped
+ROUNDS_PX = (8.0, 4.0, 2.0)
 LEAST_ANGLE_DEG = 1.0  # of a point's rays
 LOSS_PX = 1.0  # beyond which errors count linearly
 ITERATIONS, TOLERANCE = 50, 1e-5  # of an adjustment; share of the cost below which it has converged
@@ -12,9 +15,10 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
     """Triangulate what cameras share, and adjust poses and points together, in a free world.
 
     Args:
-        rig: ``focal``: of each lens, pixels; ``cameras``: of each the number of its lens, its pose (3, 4), world to camera, and
-            its features (N, 2), pixels from the principal point; ``matches``: two cameras and the numbers of their features
-            (M, 2); ``free_focal``: adjust focal lengths too.
+        rig: ``focal``: of each lens, pixels; ``cameras``: of each the number of its lens, its pose
+            (3, 4), world to camera, and its features (N, 2), pixels from the principal point;
+            ``matches``: two cameras and the numbers of their features (M, 2); ``free_focal``:
+            adjust focal lengths too.
 
     Returns:
         ``focal``, ``poses`` (3, 4), ``points_seen`` by each camera, and ``n_points``.
@@ -26,12 +30,21 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
 
     model, graph = pycolmap.Reconstruction(), pycolmap.CorrespondenceGraph()
     for lens_id, focal_px in enumerate(rig["focal"], start=1):
-        size = round(focal_px)  # any: a lens whose picture is far smaller than its focal length is refused
-        lens = pycolmap.Camera(model="SIMPLE_PINHOLE", width=size, height=size, params=[focal_px, 0, 0], camera_id=lens_id)
+        # any: a lens whose picture is far smaller than its focal length is refused
+        size = round(focal_px)
+        lens = pycolmap.Camera(
+            model="SIMPLE_PINHOLE",
+            width=size,
+            height=size,
+            params=[focal_px, 0, 0],
+            camera_id=lens_id,
+        )
         model.add_camera_with_trivial_rig(lens)
     for image_id, (lens, pose, features) in enumerate(rig["cameras"], start=1):
         points = pycolmap.Point2DList([pycolmap.Point2D(uv) for uv in features])
-        image = pycolmap.Image(name=str(image_id), image_id=image_id, camera_id=lens + 1, points2D=points)
+        image = pycolmap.Image(
+            name=str(image_id), image_id=image_id, camera_id=lens + 1, points2D=points
+        )
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
         graph.add_image(image_id, len(features))
     is_verified = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
@@ -43,10 +56,19 @@ def adjust(rig: dict[str, Any]) -> dict[str, Any]:
     triangulator = pycolmap.IncrementalTriangulator(graph, model, observations)
     searching = pycolmap.IncrementalTriangulatorOptions()
     searching.min_angle, searching.ignore_two_view_tracks = LEAST_ANGLE_DEG, False
-    adjusting = pycolmap.BundleAdjustmentOptions(refine_focal_length=rig["free_focal"], print_summary=False)
-    adjusting.ceres.loss_function_type, adjusting.ceres.loss_function_scale = pycolmap.LossFunctionType.SOFT_L1, LOSS_PX
+    adjusting = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=rig["free_focal"], print_summary=False
+    )
+    adjusting.ceres.loss_function_type, adjusting.ceres.loss_function_scale = (
+        pycolmap.LossFunctionType.SOFT_L1,
+        LOSS_PX,
+    )
     solver = adjusting.ceres.solver_options
-    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = 1, ITERATIONS, TOLERANCE
+    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = (
+        1,
+        ITERATIONS,
+        TOLERANCE,
+    )
     for largest_px in ROUNDS_PX:
         for image_id in sorted(model.images):
             triangulator.triangulate_image(searching, image_id)

@@ -60,18 +60,23 @@ class IntrinsicsFile:
     camera: tuple[IntrinsicsTable, ...]
 
 
-def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> dict[str, KnownCamera]:
+def read_known(
+    path: Path, sizes: Mapping[str, tuple[int, int]] | None = None
+) -> dict[str, KnownCamera]:
     """Return the cameras by name.
 
     Args:
-        path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
-            with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_calibration_file`; a folder of
-            these where OpenCV has a file for each camera), or any capture.
-        sizes: (width, height) of each camera's frames, for files that do not say for which they are.
+        path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with
+            ``intrinsics.toml``, a folder with a COLMAP model, a calibration of Qualisys, anipose,
+            freemocap or OpenCV (see `read_calibration_file`; a folder of these where OpenCV has a
+            file for each camera), or any capture.
+        sizes: (width, height) of each camera's frames, for files that do not say for which they
+            are.
 
     Reading:
-        Lenses are those of the frames as they are on disk: of a capture that is undistorted as it is read, the distorting ones.
-        Cameras are called as their frames are, however the umlauts of the file's names are written.
+        Lenses are those of the frames as they are on disk: of a capture that is undistorted as it
+        is read, the distorting ones. Cameras are called as their frames are, however the umlauts of
+        the file's names are written.
     """
     cameras = _read_cameras(path, {same_name(name): size for name, size in (sizes or {}).items()})
     matched = match_cameras(cameras, sizes or ()).names
@@ -86,13 +91,19 @@ def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str,
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
         return _read_intrinsics(path / INTRINSICS)
-    model = path if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt")) else find_model(path)
+    model = (
+        path
+        if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))
+        else find_model(path)
+    )
     if model is not None:
         views = by_camera(model, read_model(model))
         return {name: KnownCamera(view.lens, view.world_to_camera) for name, view in views.items()}
     if find_calibration_files(path):
         return _of_calibration_file(path, sizes)
-    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path, measure_depth=False))
+    return _of_capture(
+        open_capture(path.parent if path.name == "capture.toml" else path, measure_depth=False)
+    )
 
 
 def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
@@ -101,15 +112,28 @@ def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
     Args:
         lenses: by camera name; their coefficients are not written.
     """
-    lines = ["# Pinhole intrinsics in pixels, pixel centres at halves (column i is at u = i + 0.5)."]
+    lines = [
+        "# Pinhole intrinsics in pixels, pixel centres at halves (column i is at u = i + 0.5)."
+    ]
     for name, lens in lenses.items():
-        rows = ", ".join("[" + ", ".join(f"{float(value)!r}" for value in row) + "]" for row in lens.K)
+        rows = ", ".join(
+            "[" + ", ".join(f"{float(value)!r}" for value in row) + "]" for row in lens.K
+        )
         quoted = name.replace("\\", "\\\\").replace('"', '\\"')
-        lines += ["", "[[camera]]", f'name = "{quoted}"', f"width = {lens.width}", f"height = {lens.height}", f"K = [{rows}]"]
+        lines += [
+            "",
+            "[[camera]]",
+            f'name = "{quoted}"',
+            f"width = {lens.width}",
+            f"height = {lens.height}",
+            f"K = [{rows}]",
+        ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+def fit_known(
+    path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]
+) -> dict[str, KnownCamera]:
     """Return the known cameras at the size of the frames.
 
     Args:
@@ -118,8 +142,8 @@ def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str
     missing = [name for name in sizes if name not in cameras]
     if missing:
         raise CaptureError(
-            f"{path}: wanted intrinsics of {', '.join(missing)}, it has {', '.join(cameras) or 'none'}; "
-            "use the same camera names in both places"
+            f"{path}: wanted intrinsics of {', '.join(missing)}, it has "
+            f"{', '.join(cameras) or 'none'}; use the same camera names in both places"
         )
     fitted = {}
     for name, (width, height) in sizes.items():
@@ -138,11 +162,15 @@ def colmap_camera(lens: Lens) -> tuple[str, list[float]]:
     """COLMAP's name and parameters of a lens.
 
     Raises:
-        CameraError: a lens that COLMAP cannot express: skewed, or with more than eight coefficients.
+        CameraError: a lens that COLMAP cannot express: skewed, or with more than eight
+            coefficients.
     """
     if abs(lens.K[0, 1]) > 1e-9 or len(lens.coefficients) > 8:
         content = f"skew {lens.K[0, 1]:g} and {len(lens.coefficients)} coefficients"
-        raise CameraError(f"lens: wanted no skew and at most 8 coefficients, got {content}; undistort the frames first")
+        raise CameraError(
+            f"lens: wanted no skew and at most 8 coefficients, got {content}; undistort the frames "
+            f"first"
+        )
     pinhole = [float(value) for value in (lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2])]
     if lens.is_pinhole:
         return "PINHOLE", pinhole
@@ -158,7 +186,10 @@ def _read_intrinsics(path: Path) -> dict[str, KnownCamera]:
     table = build_table(IntrinsicsFile, read_toml(path, CaptureError), str(path), "", CaptureError)
     names = [camera.name for camera in table.camera]
     if len(set(names)) < len(names) or not names:
-        raise CaptureError(f"{path}: wanted cameras of different names, got {', '.join(names) or 'none'}; correct the names")
+        raise CaptureError(
+            f"{path}: wanted cameras of different names, got {', '.join(names) or 'none'}; correct "
+            f"the names"
+        )
     return {camera.name: KnownCamera(_lens(path, camera), None) for camera in table.camera}
 
 
@@ -166,19 +197,32 @@ def _lens(path: Path, table: IntrinsicsTable) -> Lens:
     distortion = table.distortion or LensTable("opencv", (0.0,) * 4)
     K = as_matrix(table.K, 3, f"{path}: {table.name}: K")
     try:
-        return Lens(K, distortion.model, distortion.coefficients, table.width, table.height)
+        return Lens(
+            K=K,
+            model=distortion.model,
+            coefficients=distortion.coefficients,
+            width=table.width,
+            height=table.height,
+        )
     except CameraError as error:
         raise CaptureError(f"{path}: {table.name}: {error}") from error
 
 
-def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
-    """Return the cameras of a calibration file; of cameras without frames only the stated size counts."""
+def _of_calibration_file(
+    path: Path, sizes: Mapping[str, tuple[int, int]]
+) -> dict[str, KnownCamera]:
+    """Return the cameras of a calibration file.
+
+    Of cameras without frames only the stated size counts.
+    """
     cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
         if camera.size is None and same_name(name) not in sizes:
             continue
         try:
-            cameras[name] = KnownCamera(camera.lens(sizes.get(same_name(name))), camera.world_to_camera, camera.is_metric)
+            cameras[name] = KnownCamera(
+                camera.lens(sizes.get(same_name(name))), camera.world_to_camera, camera.is_metric
+            )
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
     return cameras
@@ -188,6 +232,13 @@ def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
     cameras = {}
     for camera, source in zip(capture.cameras, capture.sources, strict=True):
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
-        lens = next((frames.lens for frames in source_chain(source) if isinstance(frames, UndistortedFrames)), pinhole)
+        lens = next(
+            (
+                frames.lens
+                for frames in source_chain(source)
+                if isinstance(frames, UndistortedFrames)
+            ),
+            pinhole,
+        )
         cameras[camera.name] = KnownCamera(lens, camera.world_to_camera)
     return cameras

@@ -1,4 +1,5 @@
-"""Cameras of a model with one lens for all that would like a lens of their own: each is freed once, and the adjustments compared.
+"""Cameras of a model with one lens for all that would like a lens of their own: each is freed once,
+and the adjustments compared.
 
 Runs in the process of `calibration_worker` alone.
 """
@@ -8,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-# Twice the gain in log-likelihood, in units of the residuals' own variance. Cameras of clean rigs reach 13, one that is zoomed by
+# Twice the gain in log-likelihood, in units of the residuals' own variance. Cameras of clean rigs
+# reach 13, one that is zoomed by
 # 8 % has 200 to 1,500, and draws its neighbours along to 40 until it is freed.
 LEAST_GAIN = 30.0
 # Lenses of one make and setting differ by 1 %.
@@ -24,12 +26,14 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         shared: reconstruction whose images share one camera; it stays as it is.
 
     Returns:
-        Image -> ``factor`` on the common focal length, its ``half_width``, and ``common_factor``, by which the focal length of
-        the others changes once this camera and those before it are freed.
+        Image -> ``factor`` on the common focal length, its ``half_width``, and ``common_factor``,
+        by which the focal length of the others changes once this camera and those before it are
+        freed.
 
     Reading:
-        Points, poses and lenses are adjusted with each camera freed in turn, under Cauchy's loss, so that a few wrong matches
-        have no say. The one that explains most is kept free, since it bends its neighbours, and the others are tried again.
+        Points, poses and lenses are adjusted with each camera freed in turn, under Cauchy's loss,
+        so that a few wrong matches have no say. The one that explains most is kept free, since it
+        bends its neighbours, and the others are tried again.
     """
     names = sorted(image.name for image in shared.images.values() if image.has_pose)
     odd: dict[str, dict[str, float]] = {}
@@ -46,13 +50,19 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         if gain < LEAST_GAIN or abs(factor - 1) < LEAST_DIFFERENCE:
             break
         half_width = SIGMAS * abs(factor - 1) / np.sqrt(gain)
-        odd[best] = {"factor": factor, "half_width": float(half_width), "common_factor": common / shared_focal}
+        odd[best] = {
+            "factor": factor,
+            "half_width": float(half_width),
+            "common_factor": common / shared_focal,
+        }
         cost = left
     return odd
 
 
 def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int]]:
-    """Return a copy of a reconstruction in which some images have a camera of their own, and its number by image."""
+    """Return a copy of a reconstruction in which some images have a camera of their own, and its
+    number by image.
+    """
     import pycolmap
 
     model = pycolmap.Reconstruction()
@@ -68,7 +78,9 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
             camera.camera_id = number = numbers[image.name] = max(shared.cameras) + 1 + len(numbers)
             model.add_camera_with_trivial_rig(camera)
         places = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
-        copied = pycolmap.Image(name=image.name, keypoints=places, camera_id=number, image_id=image.image_id)
+        copied = pycolmap.Image(
+            name=image.name, keypoints=places, camera_id=number, image_id=image.image_id
+        )
         model.add_image_with_trivial_frame(copied, image.cam_from_world())
     for _, point in sorted(shared.points3D.items()):
         model.add_point3D(point.xyz, point.track)
@@ -76,7 +88,9 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
 
 
 def adjust_own(shared: Any, names: Collection[str]) -> Any:
-    """Return the reconstruction with some images freed from the lens that the others share, adjusted."""
+    """Return the reconstruction with some images freed from the lens that the others share,
+    adjusted.
+    """
     model, _ = free_lenses(shared, names)
     _adjust(model)
     model.update_point_3d_errors()
@@ -84,7 +98,9 @@ def adjust_own(shared: Any, names: Collection[str]) -> Any:
 
 
 def _freed(shared: Any, names: Sequence[str]) -> tuple[float, float, float]:
-    """Cost with some images freed, focal length of the last of them as a factor on the common one, and that one, pixels."""
+    """Cost with some images freed, focal length of the last of them as a factor on the common one,
+    and that one, pixels.
+    """
     model, numbers = free_lenses(shared, names)
     cost, _ = _adjust(model)
     (common,) = (model.cameras[number].mean_focal_length() for number in shared.cameras)
@@ -92,7 +108,9 @@ def _freed(shared: Any, names: Sequence[str]) -> tuple[float, float, float]:
 
 
 def _adjust(model: Any) -> tuple[float, int]:
-    """Adjust everything; gives the cost, half the sum of the losses, and the number of residuals."""
+    """Adjust everything; gives the cost, half the sum of the losses, and the number of
+    residuals.
+    """
     import pycolmap
 
     options, config = pycolmap.BundleAdjustmentOptions(), pycolmap.BundleAdjustmentConfig()

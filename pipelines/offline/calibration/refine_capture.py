@@ -1,7 +1,9 @@
-"""Poses and focal lengths of a capture, refined from the given ones by features that neighbours share.
+"""Poses and focal lengths of a capture, refined from the given ones by features that neighbours
+share.
 
-A fixed rig is refined by several instants, a carried camera by its single one: each of its pictures is a camera. Pairs are chosen
-by the given poses, so that matching grows with the number of pictures and not with its square.
+A fixed rig is refined by several instants, a carried camera by its single one: each of its pictures
+is a camera. Pairs are chosen by the given poses, so that matching grows with the number of pictures
+and not with its square.
 """
 
 from collections.abc import Sequence
@@ -14,14 +16,23 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, nearest_rotation
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.geometry.epipolar import LONGEST_SIDE_PX, MatchedPair, epipolar_errors, find_features, match_pair, neighbour_pairs
+from ggvs_eval.geometry.epipolar import (
+    LONGEST_SIDE_PX,
+    MatchedPair,
+    epipolar_errors,
+    find_features,
+    match_pair,
+    neighbour_pairs,
+)
 from ggvs_eval.pipelines.offline.calibration import bundle_adjustment
 from ggvs_eval.progress import track
 from ggvs_eval.side_process import SideProcess, SideProcessError
 
 NEIGHBOURS = 8  # that each camera is matched with
-INSTANTS, LAST_INSTANT = 3, 30  # of a fixed rig, evenly spaced up to the last, since videos are decoded from their beginning
-FEWEST_CAMERAS = 8  # from which on focal lengths are free; of fewer, a lens trades them for a turn of the camera
+# of a fixed rig, evenly spaced up to the last, since videos are decoded from their beginning
+INSTANTS, LAST_INSTANT = 3, 30
+# from which on focal lengths are free; of fewer, a lens trades them for a turn of the camera
+FEWEST_CAMERAS = 8
 FEWEST_POINTS = 20  # that a camera sees, below which it keeps its given pose
 _ADJUSTER = SideProcess(Path(bundle_adjustment.__file__))
 
@@ -29,11 +40,16 @@ _ADJUSTER = SideProcess(Path(bundle_adjustment.__file__))
 def match_capture(capture: Capture) -> list[MatchedPair]:
     """Match features of near cameras, each pair once per instant."""
     cameras = capture.cameras
-    instants = np.unique(np.linspace(0, min(capture.n_frames - 1, LAST_INSTANT), INSTANTS).round().astype(int))
+    instants = np.unique(
+        np.linspace(0, min(capture.n_frames - 1, LAST_INSTANT), INSTANTS).round().astype(int)
+    )
     pairs = neighbour_pairs(cameras, NEIGHBOURS)
     matched = []
     for frame in instants.tolist():
-        features = [find_features(capture.frame(name, frame)) for name in track(capture.camera_names, "features for poses")]
+        features = [
+            find_features(capture.frame(name, frame))
+            for name in track(capture.camera_names, "features for poses")
+        ]
         for first, second in track(pairs, "matching for poses"):
             longest_px = max(*cameras[first].size, *cameras[second].size)
             matched.append(match_pair(first, second, features[first], features[second], longest_px))
@@ -55,35 +71,49 @@ def epipolar_residual(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -
     return float(np.median(medians)) if medians else None
 
 
-def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> tuple[tuple[Camera, ...], int]:
-    """Adjust poses, and focal lengths where there are enough cameras, to matched features; equal lenses stay equal.
+def refine_cameras(
+    path: Path, cameras: Sequence[Camera], pairs: Sequence[MatchedPair]
+) -> tuple[tuple[Camera, ...], int]:
+    """Adjust poses, and focal lengths where there are enough cameras, to matched features.
+
+    Equal lenses stay equal.
 
     Args:
         path: of the capture, for errors.
         pairs: of `match_capture`.
 
     Returns:
-        The cameras in the world of the given ones, in their order; one that sees too little keeps its pose. And the number of
-        points.
+        The cameras in the world of the given ones, in their order; one that sees too little keeps
+        its pose. And the number of points.
 
     Raises:
         CaptureError: no two cameras share enough, or pycolmap fails.
 
     Reading:
-        The world stays: rotations of all cameras agree with the given ones best, then centres by scale and shift. A similarity
-        of the centres alone leaves a rotation open where they are on a line. One factor moves both focal lengths of a lens;
-        principal points stay, as in COLMAP, and distortion, which frames have been freed of.
+        The world stays: rotations of all cameras agree with the given ones best, then centres by
+        scale and shift. A similarity of the centres alone leaves a rotation open where they are on
+        a line. One factor moves both focal lengths of a lens; principal points stay, as in COLMAP,
+        and distortion, which frames have been freed of.
     """
     keys = [(camera.size, camera.K.tobytes()) for camera in cameras]
-    lenses = {key: float(camera.K[0, 0]) / _pixel(cameras) for key, camera in zip(keys, cameras, strict=True)}
-    numbers: list[dict[tuple[float, float], int]] = [{} for _ in cameras]  # of a camera's features, by their places
+    lenses = {
+        key: float(camera.K[0, 0]) / _pixel(cameras)
+        for key, camera in zip(keys, cameras, strict=True)
+    }
+    # of a camera's features, by their places
+    numbers: list[dict[tuple[float, float], int]] = [{} for _ in cameras]
     matches: dict[tuple[int, int], list[Array]] = {}
     for pair in pairs:
         rows = []
         for camera, uv in ((pair.first, pair.uv_first), (pair.second, pair.uv_second)):
             rays = np.column_stack([uv, np.ones(len(uv))]) @ np.linalg.inv(cameras[camera].K).T
             features = numbers[camera]
-            rows.append([features.setdefault((x, y), len(features)) for x, y, _ in (lenses[keys[camera]] * rays).tolist()])
+            rows.append(
+                [
+                    features.setdefault((x, y), len(features))
+                    for x, y, _ in (lenses[keys[camera]] * rays).tolist()
+                ]
+            )
         matches.setdefault((pair.first, pair.second), []).append(np.transpose(rows))
     request = {
         "focal": list(lenses.values()),
@@ -91,16 +121,23 @@ def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[Matche
             ([*lenses].index(key), camera.world_to_camera[:3], list(features))
             for key, camera, features in zip(keys, cameras, numbers, strict=True)
         ],
-        "matches": [(*pair, np.unique(np.concatenate(parts), axis=0)) for pair, parts in matches.items()],
+        "matches": [
+            (*pair, np.unique(np.concatenate(parts), axis=0)) for pair, parts in matches.items()
+        ],
         "free_focal": len(cameras) >= FEWEST_CAMERAS,
     }
     try:
         answer = _ADJUSTER.ask(request)
     except SideProcessError as error:
-        raise CaptureError(f"{path}: wanted refined poses, pycolmap said: {error}; use the given ones") from error
+        raise CaptureError(
+            f"{path}: wanted refined poses, pycolmap said: {error}; use the given ones"
+        ) from error
     places = np.flatnonzero(np.array(answer["points_seen"]) >= FEWEST_POINTS).tolist()
     if len(places) < 2:
-        raise CaptureError(f"{path}: wanted refined poses, got {answer['n_points']} shared points; use the given ones")
+        raise CaptureError(
+            f"{path}: wanted refined poses, got {answer['n_points']} shared points; use the given "
+            f"ones"
+        )
     refined, focal = list(cameras), dict(zip(lenses, answer["focal"], strict=True))
     poses = _in_world([cameras[place] for place in places], np.array(answer["poses"])[places])
     for place, pose in zip(places, poses, strict=True):
@@ -113,13 +150,19 @@ def refine_cameras(path: Path, cameras: Sequence[Camera], pairs: Sequence[Matche
 def _in_world(cameras: Sequence[Camera], poses: Array) -> Array:
     """Return poses (N, 3, 4) of a world of their own as (N, 4, 4) in that of given cameras."""
     turns, centres = poses[:, :, :3], np.array([camera.centre for camera in cameras])
-    turn, _ = nearest_rotation(np.mean([camera.rotation.T @ pose for camera, pose in zip(cameras, turns, strict=True)], axis=0))
+    turn, _ = nearest_rotation(
+        np.mean(
+            [camera.rotation.T @ pose for camera, pose in zip(cameras, turns, strict=True)], axis=0
+        )
+    )
     turned = -np.einsum("nji,nj->ni", turns, poses[:, :, 3]) @ turn.T
     turned -= turned.mean(axis=0)
     scale = (turned * (centres - centres.mean(axis=0))).sum() / np.square(turned).sum()
     placed = np.tile(np.eye(4), (len(poses), 1, 1))
     placed[:, :3, :3] = turns @ turn.T
-    placed[:, :3, 3] = -np.einsum("nij,nj->ni", placed[:, :3, :3], centres.mean(axis=0) + scale * turned)
+    placed[:, :3, 3] = -np.einsum(
+        "nij,nj->ni", placed[:, :3, :3], centres.mean(axis=0) + scale * turned
+    )
     return placed
 
 

@@ -1,1 +1,3 @@
-"""Depth of every camera: which partners, by which matcher, checked against other cameras, and stored."""
+"""Depth of every camera: which partners, by which matcher, checked against other cameras, and
+stored.
+"""

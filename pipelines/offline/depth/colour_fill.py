@@ -1,4 +1,6 @@
-"""Unmeasured depth, filled along the edges of the colours: the Fast Global Smoother (Min et al., IEEE TIP 2014)."""
+"""Unmeasured depth, filled along the edges of the colours: the Fast Global Smoother (Min et al.,
+IEEE TIP 2014).
+"""
 
 import cv2
 import numpy as np
@@ -8,11 +10,15 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.tasks.identity import code_of
 
 LEAST_WEIGHT = 1e-12  # of depth that reaches a pixel; below, none does
-STRENGTH = 900.0  # lambda, weight of smoothness next to that of measured depth; its root is about the reach in pixels
+# lambda, weight of smoothness next to that of measured depth; its root is about the reach in pixels
+STRENGTH = 900.0
 LEVELS = 4.0  # difference of colours, of 255, across which smoothness counts for 1 / e
 ROUNDS = 3  # passes along rows and columns
-JUMP = 0.05  # neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
-EDGE_PX = 2  # ... and pixels this near to it are filled anew: sensors measure edges slightly off those of colours
+# neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
+JUMP = 0.05
+# ... and pixels this near to it are filled anew: sensors measure edges slightly off those of
+# colours
+EDGE_PX = 2
 CONFIDENCE = 0.02  # of filled pixels
 
 
@@ -22,7 +28,8 @@ def describe_fill() -> dict[str, object]:
 
 
 def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
-    """Fill invalid pixels, and edges of depth, with the smooth inverse depth of what has their colour.
+    """Fill invalid pixels, and edges of depth, with the smooth inverse depth of what has their
+    colour.
 
     Measured pixels count by their confidence.
 
@@ -33,9 +40,10 @@ def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
         Depth and confidence, (H, W); depth is unknown only where no pixel was known.
 
     Reading:
-        The paper takes depth without holes and names no fill. Chosen on validation data: nine views each of hand-held rooms (demo
-        seeds 101-103) with blurred pictures and with misplaced depth, three of the rest of a real sequence; benchmarks/RESULTS.md
-        has the gains. Of them 0.04 dB are due to `EDGE_PX`; a `STRENGTH` of 400 or 2000 loses 0.02 and 0.04 dB, 3 `LEVELS` 0.03.
+        The paper takes depth without holes and names no fill. Chosen on validation data: nine views
+        each of hand-held rooms (demo seeds 101-103) with blurred pictures and with misplaced depth,
+        three of the rest of a real sequence; benchmarks/RESULTS.md has the gains. Of them 0.04 dB
+        are due to `EDGE_PX`; a `STRENGTH` of 400 or 2000 loses 0.02 and 0.04 dB, 3 `LEVELS` 0.03.
     """
     depth_map = depth_map.clean()
     depth, confidence = depth_map.depth, depth_map.confidence
@@ -44,7 +52,9 @@ def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
         return depth_map
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=~unknown)
     weight = np.where(unknown, np.float32(0), np.maximum(confidence, np.float32(CONFIDENCE)))
-    total, sure = np.moveaxis(smooth_by_colour(np.stack([weight * inverse, weight], axis=-1), image), -1, 0)
+    total, sure = np.moveaxis(
+        smooth_by_colour(np.stack([weight * inverse, weight], axis=-1), image), -1, 0
+    )
     filled = unknown & (sure > LEAST_WEIGHT) & (total > 0)
     result = np.where(filled, np.divide(sure, total, out=np.zeros_like(depth), where=filled), depth)
     return DepthMap(result, np.where(filled, np.float32(CONFIDENCE), confidence))
@@ -56,14 +66,26 @@ def beside_jumps(depth: Map) -> Mask:
     farthest = cv2.dilate(depth, neighbours)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), neighbours)
     jumps = farthest * np.float32(1 / (1 + JUMP)) > nearest
-    return cv2.dilate(jumps.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
+    return (
+        cv2.dilate(
+            jumps.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+        )
+        > 0
+    )
 
 
-def smooth_by_colour(maps: Map, image: Image8, strength: float = STRENGTH, levels: float = LEVELS, rounds: int = ROUNDS) -> Map:
-    """Smooth maps within the edges of an image: weighted least squares along all rows, then along all columns, in some rounds.
+def smooth_by_colour(
+    maps: Map,
+    image: Image8,
+    strength: float = STRENGTH,
+    levels: float = LEVELS,
+    rounds: int = ROUNDS,
+) -> Map:
+    """Smooth maps within the edges of an image: weighted least squares along all rows, then along
+    all columns, in some rounds.
 
-    Each line minimises the sum of (u - f)^2 + lambda exp(-|difference of colours| / levels) (difference of u)^2; later rounds
-    are weaker by four, so that streaks of the first go.
+    Each line minimises the sum of (u - f)^2 + lambda exp(-|difference of colours| / levels)
+    (difference of u)^2; later rounds are weaker by four, so that streaks of the first go.
 
     Args:
         maps: f, (H, W, C), float32.
@@ -82,18 +104,26 @@ def smooth_by_colour(maps: Map, image: Image8, strength: float = STRENGTH, level
 
 
 def _likeness(guide: Map, levels: float) -> Map:
-    """Return the similarity of each pixel to the next one of its line, (N, M) in [0, 1]; 0 at the end of a line."""
+    """Return the similarity of each pixel to the next one of its line, (N, M) in [0, 1].
+
+    0 at the end of a line.
+    """
     likeness = np.zeros(guide.shape[:2], np.float32)
     likeness[:, :-1] = np.exp(-np.linalg.norm(np.diff(guide, axis=1), axis=-1) / np.float32(levels))
     return likeness
 
 
 def _smooth_lines(maps: Map, links: Map) -> Map:
-    """Solve all lines (N, M, C) as one tridiagonal system: what links the last pixel of a line to the next line is 0."""
+    """Solve all lines (N, M, C) as one tridiagonal system: what links the last pixel of a line to
+    the next line is 0.
+    """
     from scipy.linalg import solve_banded  # late: every run imports this module, few fill depth
 
     above = links.ravel()
     below = np.concatenate([np.zeros(1, np.float32), above[:-1]])
-    bands = np.stack([-below, 1 + above + below, -above])  # LAPACK's form: the entry above the diagonal is in the next column
-    lines = solve_banded((1, 1), bands, maps.reshape(-1, maps.shape[2]), overwrite_ab=True, check_finite=False)
+    # LAPACK's form: the entry above the diagonal is in the next column
+    bands = np.stack([-below, 1 + above + below, -above])
+    lines = solve_banded(
+        (1, 1), bands, maps.reshape(-1, maps.shape[2]), overwrite_ab=True, check_finite=False
+    )
     return np.asarray(lines, np.float32).reshape(maps.shape)

@@ -1,4 +1,6 @@
-"""Depth of one camera over consecutive instants: keyframes anew, between them only changed pixels."""
+"""Depth of one camera over consecutive instants: keyframes anew, between them only changed
+pixels.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +20,8 @@ from ggvs_eval.pipelines.offline.depth.matchers import SharedMatches
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
 MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing
-CHANGED = 0.02  # a pixel has changed when its blurred difference exceeds this share of the value range
+# a pixel has changed when its blurred difference exceeds this share of the value range
+CHANGED = 0.02
 GROW_PX = 8  # pixels this near to a changed one are recomputed too
 BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
 
@@ -26,19 +29,25 @@ BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
 class DepthStream:
     """Depth of one camera, instant by instant; each call is the next instant.
 
-    What it returns depends on the instants since the last keyframe alone, and keyframes are where the frame number is a multiple
-    of `keyframe_every`: a killed run continues from the keyframe before, with equal bits.
+    What it returns depends on the instants since the last keyframe alone, and keyframes are where
+    the frame number is a multiple of `keyframe_every`: a killed run continues from the keyframe
+    before, with equal bits.
 
     Args:
         shared: see `PairwiseEstimator`.
 
     Reading:
-        Whether something has changed is asked of the camera's own picture since its depth was computed, not since the frame
-        before: slow changes add up. A partner that is newly covered does not change what the camera sees.
+        Whether something has changed is asked of the camera's own picture since its depth was
+        computed, not since the frame before: slow changes add up. A partner that is newly covered
+        does not change what the camera sees.
     """
 
     def __init__(
-        self, camera: Camera, partners: Sequence[Camera], options: DepthOptions, shared: SharedMatches | None = None
+        self,
+        camera: Camera,
+        partners: Sequence[Camera],
+        options: DepthOptions,
+        shared: SharedMatches | None = None,
     ) -> None:
         self.camera = camera
         self.partners = tuple(partners)
@@ -80,12 +89,17 @@ class DepthStream:
             return reference, depth_map
         window = _window_around(changed, self.camera.size)
         left, top, width, height = window
-        is_narrow = not all(can_rectify(self.camera.cropped(*window), pair, nearest=1.0) for pair in self._whole.pairs)
+        is_narrow = not all(
+            can_rectify(self.camera.cropped(*window), pair, nearest=1.0)
+            for pair in self._whole.pairs
+        )
         if is_narrow or width * height > MOST_CHANGED * self.camera.width * self.camera.height:
             return blurred, self._whole.estimate(image, partner_images)
         rows, columns = slice(top, top + height), slice(left, left + width)
         try:
-            fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
+            fresh = self._window_estimator(window).estimate(
+                np.ascontiguousarray(image[rows, columns]), partner_images
+            )
         except DepthError:  # it cannot be rectified alone
             return blurred, self._whole.estimate(image, partner_images)
         mask = changed[rows, columns]
@@ -104,16 +118,25 @@ class DepthStream:
 
     def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:
         if window not in self._windows:
-            self._windows = dict(list(self._windows.items())[-3:])  # each holds the maps of its pairs
-            options = replace(self.options, filler_share=0.0)  # the whole map's share of gaps decides, not the window's
-            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, options, self._whole.pairs)
+            # each holds the maps of its pairs
+            self._windows = dict(list(self._windows.items())[-3:])
+            # the whole map's share of gaps decides, not the window's
+            options = replace(self.options, filler_share=0.0)
+            self._windows[window] = DepthEstimator(
+                camera=self.camera.cropped(*window),
+                partners=self.partners,
+                options=options,
+                pairs=self._whole.pairs,
+            )
         estimator = self._windows[window]
         estimator.forget()
         return estimator
 
 
 def _window_around(changed: Mask, size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the smallest window on the grid that holds all changed pixels and their context."""
+    """(left, top, width, height) of the smallest window on the grid that holds all changed pixels
+    and their context.
+    """
     starts, stops = [], []
     for axis, side in zip((0, 1), size, strict=True):
         where = np.flatnonzero(changed.any(axis=axis))

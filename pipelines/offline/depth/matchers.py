@@ -1,4 +1,6 @@
-"""What depth asks of a matcher, whatever finds it: the text table of built-ins makes matchers by their names."""
+"""What depth asks of a matcher, whatever finds it: the text table of built-ins makes matchers by
+their names.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -20,7 +22,10 @@ class Estimator(Protocol):
         """Return the depth at one instant, see `DepthEstimator.estimate`."""
 
     def forget(self) -> None:
-        """Begin a new sequence; what finds every instant from itself alone has nothing to forget."""
+        """Begin a new sequence.
+
+        What finds every instant from itself alone has nothing to forget.
+        """
         return
 
 
@@ -62,7 +67,8 @@ class Matcher(Protocol):
         """Make what finds the depth of one camera.
 
         Args:
-            error_px: see `PairwiseEstimator`, as `warm` and `shared`; who has no pairs ignores them.
+            error_px: see `PairwiseEstimator`, as `warm` and `shared`; who has no pairs ignores
+                them.
         """
 
 

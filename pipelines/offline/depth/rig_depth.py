@@ -1,4 +1,6 @@
-"""Depth of the source cameras of an instant from the pictures of a rig, as they arrive: for live synthesis and its timing."""
+"""Depth of the source cameras of an instant from the pictures of a rig, as they arrive: for live
+synthesis and its timing.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +12,13 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
-from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import (
+    ERROR_PX,
+    DepthEstimator,
+    DepthOptions,
+    check_depth,
+    finish,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -34,20 +42,27 @@ class DeviceDepth:
 
 
 class RigDepth:
-    """Depth of any cameras of a rig, instant by instant; everything that does not depend on the images is prepared once.
+    """Depth of any cameras of a rig, instant by instant.
 
-    IterMVS computes all maps of an instant in one batch, finish and check included, and leaves them on its device. The live
-    matcher shares its pairs between the maps; any other computes one map after the other.
+    Everything that does not depend on the images is prepared once.
+
+    IterMVS computes all maps of an instant in one batch, finish and check included, and leaves them
+    on its device. The live matcher shares its pairs between the maps; any other computes one map
+    after the other.
 
     Args:
         cameras: the rig.
-        options: how depth is found. Maps of an instant are checked against each other if they include consistency.
-        partners: of each camera the names of those that it is matched with; chosen among the rig, see
-            `DepthOptions.choose_partners`, where a camera is not named.
+        options: how depth is found. Maps of an instant are checked against each other if they
+            include consistency.
+        partners: of each camera the names of those that it is matched with; chosen among the rig,
+            see `DepthOptions.choose_partners`, where a camera is not named.
     """
 
     def __init__(
-        self, cameras: Sequence[Camera], options: DepthOptions, partners: Mapping[str, Sequence[str]] | None = None
+        self,
+        cameras: Sequence[Camera],
+        options: DepthOptions,
+        partners: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         self._cameras, self.options = {camera.name: camera for camera in cameras}, options
         self._partners = {name: tuple(names) for name, names in (partners or {}).items()}
@@ -59,7 +74,9 @@ class RigDepth:
             self._batch = options.matcher.batch(finisher(options))
 
     def clock_s(self) -> float:
-        """Return the time, seconds, when the depth that was asked for is found: a device works on while Python goes ahead."""
+        """Return the time, seconds, when the depth that was asked for is found: a device works on
+        while Python goes ahead.
+        """
         device = self.options.matcher.device
         if device == "cpu":
             return perf_counter()
@@ -74,15 +91,23 @@ class RigDepth:
             DepthError: no other camera of the rig sees what it sees.
         """
         if name not in self._partners:
-            partners = self.options.choose_partners(self._cameras[name], list(self._cameras.values()))
+            partners = self.options.choose_partners(
+                self._cameras[name], list(self._cameras.values())
+            )
             self._partners[name] = tuple(camera.name for camera in partners)
         return self._partners[name]
 
     def needed(self, names: Sequence[str]) -> list[str]:
-        """Return the names of the cameras whose pictures the depth of some is found from, theirs included."""
-        return list(dict.fromkeys(camera for name in names for camera in (name, *self.partners(name))))
+        """Return the names of the cameras whose pictures the depth of some is found from, theirs
+        included.
+        """
+        return list(
+            dict.fromkeys(camera for name in names for camera in (name, *self.partners(name)))
+        )
 
-    def estimate(self, names: Sequence[str], images: Mapping[str, Image8]) -> dict[str, DepthMap] | dict[str, DeviceDepth]:
+    def estimate(
+        self, names: Sequence[str], images: Mapping[str, Image8]
+    ) -> dict[str, DepthMap] | dict[str, DeviceDepth]:
         """Return the depth at one instant.
 
         Args:
@@ -96,14 +121,27 @@ class RigDepth:
             DepthError: a picture that is missing or does not fit its camera.
         """
         needed = self.needed(names)
-        pictures = {name: as_image8(images.get(name), self._cameras[name], DepthError) for name in needed}
+        pictures = {
+            name: as_image8(images.get(name), self._cameras[name], DepthError) for name in needed
+        }
         if self.options.matcher.batch:
             at = {name: index for index, name in enumerate(needed)}
-            matched = [tuple(at[camera] for camera in (name, *self.partners(name))) for name in names]
-            device_maps = self._batch.estimate([self._cameras[name] for name in needed], matched, list(pictures.values()))
-            return {name: DeviceDepth(*device_map) for name, device_map in zip(names, device_maps, strict=True)}
+            matched = [
+                tuple(at[camera] for camera in (name, *self.partners(name))) for name in names
+            ]
+            device_maps = self._batch.estimate(
+                [self._cameras[name] for name in needed], matched, list(pictures.values())
+            )
+            return {
+                name: DeviceDepth(*device_map)
+                for name, device_map in zip(names, device_maps, strict=True)
+            }
         maps = dict(zip(names, self._found_here(names, pictures), strict=True))
-        return maps if not self.options.consistency or len(names) == 1 else {name: self._checked(name, maps) for name in maps}
+        return (
+            maps
+            if not self.options.consistency or len(names) == 1
+            else {name: self._checked(name, maps) for name in maps}
+        )
 
     def _found_here(self, names: Sequence[str], pictures: Mapping[str, Image8]) -> list[DepthMap]:
         """Return the maps as the CPU's matchers find them, finished."""
@@ -111,16 +149,26 @@ class RigDepth:
             if (key := tuple(names)) not in self._rigs:
                 matched = [(name, *self.partners(name)) for name in names]
                 cameras = [self._cameras[name] for name in self.needed(names)]
-                self._rigs = {key: self.options.matcher.rig(cameras, matched, ERROR_PX)}  # the last alone
-            return [finish(depth_map, self.options) for depth_map in self._rigs[key].estimate(pictures)]
+                # the last alone
+                self._rigs = {key: self.options.matcher.rig(cameras, matched, ERROR_PX)}
+            return [
+                finish(depth_map, self.options) for depth_map in self._rigs[key].estimate(pictures)
+            ]
         for name in names:
             if name not in self._estimators:
                 partners = [self._cameras[partner] for partner in self.partners(name)]
                 self._estimators[name] = DepthEstimator(self._cameras[name], partners, self.options)
         inputs = ((name, [pictures[partner] for partner in self.partners(name)]) for name in names)
-        return [self._estimators[name].estimate(pictures[name], partner_images) for name, partner_images in inputs]
+        return [
+            self._estimators[name].estimate(pictures[name], partner_images)
+            for name, partner_images in inputs
+        ]
 
     def _checked(self, name: str, maps: Mapping[str, DepthMap]) -> DepthMap:
         """Return a map after its check against those of the other sources."""
-        views = [(self._cameras[partner], depth_map) for partner, depth_map in maps.items() if partner != name]
+        views = [
+            (self._cameras[partner], depth_map)
+            for partner, depth_map in maps.items()
+            if partner != name
+        ]
         return check_depth(self._cameras[name], maps[name], views, self.options)

@@ -1,4 +1,6 @@
-"""Depth of a run, matched between cameras or measured by sensors: how it is found, and of which cameras."""
+"""Depth of a run, matched between cameras or measured by sensors: how it is found, and of which
+cameras.
+"""
 
 import warnings
 from collections.abc import Collection, Mapping, Sequence
@@ -10,7 +12,14 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_options import DEVICE, UNEXPLAINED, DepthRunOptions, default_matcher
 from ggvs_eval.depth_store import DepthJob, DepthStore
-from ggvs_eval.errors import CameraError, DepthError, DeviceError, GgvsError, GgvsWarning, ProtocolError
+from ggvs_eval.errors import (
+    CameraError,
+    DepthError,
+    DeviceError,
+    GgvsError,
+    GgvsWarning,
+    ProtocolError,
+)
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import ChosenSource
 from ggvs_eval.jobs.engine import Workers
@@ -128,7 +137,8 @@ class MatchedDepth:
         """Choose the sources of each target, and what their depth is matched with.
 
         Raises:
-            CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
+            CameraError: fewer sources than the protocol wants, or sources that can show too little
+                of a test view.
             DepthError: a target none of whose sources has depth, where a method wants it.
         """
         partners, capture = self.partners, self.partners.capture
@@ -139,7 +149,9 @@ class MatchedDepth:
             self._require_sight(targets, sources_of)
         blind = []
         for target in targets:
-            if not any(partners.has_depth(source.camera, target) for source in sources_of[target.name]):
+            if not any(
+                partners.has_depth(source.camera, target) for source in sources_of[target.name]
+            ):
                 blind.append(target.name)
         if blind and is_wanted:
             without = f"no source of {listed(blind)} has depth; {partners.describe_unmatched()}"
@@ -156,7 +168,9 @@ class MatchedDepth:
         return plan_rig_depth(capture, self.options)
 
     def write_record(self) -> None:
-        """Let the folder keep how depth is found, which a run without depth may have left undecided."""
+        """Let the folder keep how depth is found, which a run without depth may have left
+        undecided.
+        """
         if self.compared or not self.run.depth_record.is_file():
             write_json(self.run.depth_record, self.choice.record(self.device) | dict(self.compared))
 
@@ -165,7 +179,12 @@ class MatchedDepth:
         return self.options.first_needed(frame)
 
     def fill(
-        self, capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, workers: Workers
+        self,
+        capture: Capture,
+        jobs: Sequence[DepthJob],
+        frames: Sequence[int],
+        store: DepthStore,
+        workers: Workers,
     ) -> None:
         """Compute the depth that is missing, where the run's other depth was computed."""
         try:
@@ -174,11 +193,15 @@ class MatchedDepth:
             record = f"{self.run.depth_record}: this run's depth is found on {self.device}"
             raise DeviceError(f"{record}: {error}; or use a new run folder") from error
 
-    def live_rig(self, cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]]) -> RigDepth:
+    def live_rig(
+        self, cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]]
+    ) -> RigDepth:
         """Return what finds this depth as pictures arrive."""
         return RigDepth(cameras, self.options, partners)
 
-    def _require_sight(self, targets: Sequence[Camera], sources_of: Mapping[str, Sequence[ChosenSource]]) -> None:
+    def _require_sight(
+        self, targets: Sequence[Camera], sources_of: Mapping[str, Sequence[ChosenSource]]
+    ) -> None:
         """Refuse test views of which their sources can show too little."""
         capture = self.partners.capture
         sensed = capture.sensed_cameras if self.options.sensor else frozenset[str]()
@@ -201,7 +224,9 @@ class MatchedDepth:
 def _use_sensors(
     choice: DepthRunOptions, capture: Capture, protocol: Protocol, device: str
 ) -> tuple[DepthRunOptions, dict[str, Any]]:
-    """Choose how depth of sensors is used, by what explains the pictures of other cameras; test views are not asked.
+    """Choose how depth of sensors is used, by what explains the pictures of other cameras.
+
+    Test views are not asked.
 
     Depth that the user gave is used as it is, and so is a sensor's where nothing can be compared.
     """
@@ -214,14 +239,18 @@ def _use_sensors(
     return replace(choice, sensor="fill" if fills else "alone"), record
 
 
-def _recorded_choice(run: RunFolder, request: DepthRunOptions | None, device: str) -> tuple[DepthRunOptions, str, dict[str, Any]]:
-    """Return how this folder's depth is found, or will be, on which device, and by what it was chosen.
+def _recorded_choice(
+    run: RunFolder, request: DepthRunOptions | None, device: str
+) -> tuple[DepthRunOptions, str, dict[str, Any]]:
+    """Return how this folder's depth is found, or will be, on which device, and by what it was
+    chosen.
 
     Methods of one table must be given the same.
 
     Reading:
-        Learned depth stays on the device that found its first map, regardless of the device of later calls: else a run that
-        was prepared on a GPU would be prepared again where it is looked at. That device is missed only where a map is.
+        Learned depth stays on the device that found its first map, regardless of the device of
+        later calls: else a run that was prepared on a GPU would be prepared again where it is
+        looked at. That device is missed only where a map is.
     """
     if not run.depth_record.is_file():
         choice = request or DepthRunOptions()
@@ -230,6 +259,9 @@ def _recorded_choice(run: RunFolder, request: DepthRunOptions | None, device: st
     record = DepthRunOptions.from_record(values)
     if request not in (None, record, replace(record, sensor="compare")):
         found_by = f"{record.options().matcher.name} ({run.depth_record.name})"
-        raise ProtocolError(f"{run.root}: holds a run whose depth is found by {found_by}, wanted {request}; choose a new folder")
+        raise ProtocolError(
+            f"{run.root}: holds a run whose depth is found by {found_by}, wanted {request}; choose "
+            f"a new folder"
+        )
     compared = {name: values[name] for name in values if name == UNEXPLAINED}
     return record, values.get(DEVICE, "cpu"), compared

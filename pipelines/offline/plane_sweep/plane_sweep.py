@@ -1,4 +1,6 @@
-"""Depth from all partners at once: planes swept from a small image to the full one, then the fraction of a plane."""
+"""Depth from all partners at once: planes swept from a small image to the full one, then the
+fraction of a plane.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,35 +15,48 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth.matchers import Estimator, Matcher
 from ggvs_eval.pipelines.offline.plane_sweep.planes import plan_planes
-from ggvs_eval.pipelines.offline.plane_sweep.views import PartnerView, Projection, find_hidden, turn_partner
+from ggvs_eval.pipelines.offline.plane_sweep.views import (
+    PartnerView,
+    Projection,
+    find_hidden,
+    turn_partner,
+)
 
 CONFIRMING = 0.3  # a partner takes part where its correlation is at least this
 FLAT = np.float32(0.1)  # confidence without texture, a third of what counts as sure
 MOST_STEP = 0.7  # planes
-DAMPING = 4.0  # (grey values / pixel)^2; holds the surface where the images have no gradient along the parallax
+# (grey values / pixel)^2; holds the surface where the images have no gradient along the parallax
+DAMPING = 4.0
 
 
 @dataclass(frozen=True)
 class PlaneSweep(Matcher):
-    """Planes swept through all partners at once, then semi-global matching over them along eight paths (Hirschmueller 2008).
+    """Planes swept through all partners at once, then semi-global matching over them along eight
+    paths (Hirschmueller 2008).
 
-    The planes are evenly in inverse depth. The cost of a pixel on a plane is one minus the normalised cross-correlation of its
-    window with the partners', 0 to 1. Matching goes from a small image to the full one: what the small one finds says which
-    planes are worth a look, and which partners see a point.
+    The planes are evenly in inverse depth. The cost of a pixel on a plane is one minus the
+    normalised cross-correlation of its window with the partners', 0 to 1. Matching goes from a
+    small image to the full one: what the small one finds says which planes are worth a look, and
+    which partners see a point.
 
     Attributes:
-        step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
-        most_planes: maximum number, in steps of 32 and not above 256; where it does not suffice, they are farther apart.
+        step_px: from plane to plane, points move by this much in the image of the widest partner,
+            pixels.
+        most_planes: maximum number, in steps of 32 and not above 256; where it does not suffice,
+            they are farther apart.
         radius_px: of the correlated window, 1 to 3.
-        colour_scale: a pixel of the window counts less than half where its colour differs by this much, grey values.
+        colour_scale: a pixel of the window counts less than half where its colour differs by this
+            much, grey values.
         noise: variance of grey values that is no texture.
         small_step: penalty of a step of one plane between neighbours, in units of the cost.
         large_step: penalty of a larger step, on a surface of one grey.
         edge_grey: difference of grey values of neighbours at which a larger step costs half.
         smallest_px: the image is halved until its longer side is at most this.
         search_planes: how far around what the smaller image found planes are looked at.
-        median_radius_px: depth edges are moved to those of the image by a median over windows of this radius; 0 leaves them.
-        median_colour: in that median, a pixel's weight falls by e for this difference of grey values.
+        median_radius_px: depth edges are moved to those of the image by a median over windows of
+            this radius; 0 leaves them.
+        median_colour: in that median, a pixel's weight falls by e for this difference of grey
+            values.
         refinements: Gauss-Newton steps on the images, which find the fraction of a plane.
     """
 
@@ -84,13 +99,19 @@ class SurfaceFit:
         window_px: int,
         hidden_px: float,
     ) -> None:
-        self.grey, self.views, self.turned, self.n_partners = grey, tuple(views), tuple(turned), n_partners
+        self.grey, self.views, self.turned, self.n_partners = (
+            grey,
+            tuple(views),
+            tuple(turned),
+            n_partners,
+        )
         self.noise, self.window_px, self.hidden_px = np.float32(noise), window_px, hidden_px
         self._mean = self._blur(grey)
         self._variance = self._blur(grey * grey) - self._mean**2
 
     def refine(self, inverse_depth: Map, step: float) -> Map:
-        """Return one Gauss-Newton step towards the smallest difference of the windows, gains and offsets aside.
+        """Return one Gauss-Newton step towards the smallest difference of the windows, gains and
+        offsets aside.
 
         Args:
             inverse_depth: the surface, (H, W), 1 / world units.
@@ -102,20 +123,35 @@ class SurfaceFit:
             samples = self._look_up(image, places)
             score, gain = self._correlate(samples)
             weight = self._weight(view, inverse_depth, places, score)
-            change = self._look_up(cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), places) * places.column_slope
-            change += self._look_up(cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8), places) * places.row_slope
-            moved = gain * (self._covariance(self.grey, change) - gain * self._covariance(samples, change))
+            change = (
+                self._look_up(cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), places)
+                * places.column_slope
+            )
+            change += (
+                self._look_up(cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8), places)
+                * places.row_slope
+            )
+            moved = gain * (
+                self._covariance(self.grey, change) - gain * self._covariance(samples, change)
+            )
             speed = places.column_slope**2 + places.row_slope**2
             slope += weight * moved
-            curvature += weight * (gain**2 * self._covariance(change, change) + np.float32(DAMPING) * speed)
+            curvature += weight * (
+                gain**2 * self._covariance(change, change) + np.float32(DAMPING) * speed
+            )
         update = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
-        return inverse_depth + np.clip(update, -MOST_STEP * step, MOST_STEP * step).astype(np.float32)
+        return inverse_depth + np.clip(update, -MOST_STEP * step, MOST_STEP * step).astype(
+            np.float32
+        )
 
     def confidence(self, inverse_depth: Map) -> Map:
-        """Measure how far all partners confirm the surface, (H, W) in [0, 1]; those that do not see it count 0.
+        """Measure how far all partners confirm the surface, (H, W) in [0, 1].
 
-        A partner that sees it confirms it by the correlation of its window, and a little without any: if there is no texture
-        the surface comes from its surroundings, and is better than what would be guessed in its place.
+        Those that do not see it count 0.
+
+        A partner that sees it confirms it by the correlation of its window, and a little without
+        any: if there is no texture the surface comes from its surroundings, and is better than what
+        would be guessed in its place.
         """
         total = np.zeros_like(inverse_depth)
         for view, image in zip(self.views, self.turned, strict=True):
@@ -127,13 +163,17 @@ class SurfaceFit:
 
     def _weight(self, view: PartnerView, inverse_depth: Map, places: Projection, score: Map) -> Map:
         """Return the partner's correlation where it confirms the surface, else 0."""
-        return np.where(self._sees(view, inverse_depth, places), _confirmation(score), np.float32(0))
+        return np.where(
+            self._sees(view, inverse_depth, places), _confirmation(score), np.float32(0)
+        )
 
     def _sees(self, view: PartnerView, inverse_depth: Map, places: Projection) -> NDArray[np.bool_]:
         return view.sees(places) & ~find_hidden(view, inverse_depth, self.hidden_px)
 
     def _correlate(self, samples: Map) -> tuple[Map, Map]:
-        """Return the normalised cross-correlation with the reference, and the gain that takes `samples` to it; (H, W) each."""
+        """Return the normalised cross-correlation with the reference, and the gain that takes
+        `samples` to it; (H, W) each.
+        """
         mean = self._blur(samples)
         variance = np.maximum(self._blur(samples * samples) - mean * mean, 0) + self.noise
         covariance = self._blur(samples * self.grey) - mean * self._mean
@@ -144,7 +184,9 @@ class SurfaceFit:
         return self._blur(first * second) - self._blur(first) * self._blur(second)
 
     def _look_up(self, image: Map, places: Projection) -> Map:
-        return cv2.remap(image, places.column, places.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.remap(
+            image, places.column, places.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
 
     def _blur(self, values: Map) -> Map:
         return cv2.blur(values, (self.window_px, self.window_px), borderType=cv2.BORDER_REFLECT)
@@ -157,7 +199,8 @@ def _confirmation(score: Map) -> Map:
 
 DISTANCE_SCALE_PX = 1.5  # a pixel of the window this far from its middle counts half
 HIDDEN_PX = 1.5  # of parallax; a surface this much nearer occludes
-HIDDEN_WEIGHT = 0.05  # of a partner that should not see a point: little, but all there is where all are hidden
+# of a partner that should not see a point: little, but all there is where all are hidden
+HIDDEN_WEIGHT = 0.05
 MEDIAN_TOLERANCE = 5.0  # planes; what is as near to the median of its surroundings stays
 
 
@@ -177,7 +220,9 @@ class LevelImages:
 
 
 class SweepLevel:
-    """Matches a camera with its partners at one size; all that does not depend on the images is prepared once.
+    """Matches a camera with its partners at one size.
+
+    All that does not depend on the images is prepared once.
 
     Args:
         partners: the cameras it is matched with, at their full size.
@@ -187,8 +232,13 @@ class SweepLevel:
         self.camera, self.options = camera, options
         shrunk = [_as_fine_as(camera, partner) for partner in partners]
         self.planes = plan_planes(camera, shrunk, options.step_px, options.most_planes)
-        views = [turn_partner(camera, partner, self.planes, options.radius_px) for partner in shrunk]
-        self._views = [(n, shrunk[n].size, view) for n, view in enumerate(views) if view is not None]  # n: which partner
+        views = [
+            turn_partner(camera, partner, self.planes, options.radius_px) for partner in shrunk
+        ]
+        # n: which partner
+        self._views = [
+            (n, shrunk[n].size, view) for n, view in enumerate(views) if view is not None
+        ]
         self._n_partners = len(partners)
 
     @property
@@ -199,7 +249,9 @@ class SweepLevel:
     def load(self, image: Image8, partner_images: Sequence[Image8]) -> LevelImages:
         """Prepare the images of one instant, given at full size, RGB."""
         guide = np.ascontiguousarray(_shrink(image, self.camera.size))
-        turned = [view.turn(_grey(_shrink(partner_images[n], size))) for n, size, view in self._views]
+        turned = [
+            view.turn(_grey(_shrink(partner_images[n], size))) for n, size, view in self._views
+        ]
         return LevelImages(guide, _grey(guide), tuple(turned))
 
     def match(self, images: LevelImages, prior: Map | None) -> Map:
@@ -221,10 +273,10 @@ class SweepLevel:
     def fit(self, images: LevelImages) -> SurfaceFit:
         """Return the fit that evaluates a surface by these images."""
         return SurfaceFit(
-            images.grey,
-            [view for _, _, view in self._views],
-            images.turned,
-            self._n_partners,
+            grey=images.grey,
+            views=[view for _, _, view in self._views],
+            turned=images.turned,
+            n_partners=self._n_partners,
             noise=self.options.noise,
             window_px=2 * self.options.radius_px + 1,
             hidden_px=HIDDEN_PX,
@@ -237,7 +289,9 @@ class SweepLevel:
         options, planes = self.options, self.planes
         partners = []
         for (_, _, view), turned in zip(self._views, images.turned, strict=True):
-            visible = None if prior is None else (~find_hidden(view, prior, HIDDEN_PX)).astype(np.uint8)
+            visible = (
+                None if prior is None else (~find_hidden(view, prior, HIDDEN_PX)).astype(np.uint8)
+            )
             partners.append((turned, view.first, view.last, visible, view.motion))
         return _stereo.sweep_planes(
             images.grey,
@@ -251,7 +305,9 @@ class SweepLevel:
         )
 
     def _ranges(self, prior: Map | None) -> NDArray[np.int32]:
-        """Select the planes of each tile of the kernel: around those of the prior in it and its eight neighbours."""
+        """Select the planes of each tile of the kernel: around those of the prior in it and its
+        eight neighbours.
+        """
         from ggvs_eval.kernels import _stereo
 
         columns, rows = _stereo.TILE_SIZE
@@ -260,7 +316,9 @@ class SweepLevel:
         if prior is None:
             return np.tile(np.array([0, self.planes.count], np.int32), (down, across, 1))
         surface = (prior - np.float32(self.planes.first)) / np.float32(self.planes.step)
-        padded = np.pad(surface, ((0, down * rows - height), (0, across * columns - width)), mode="edge")
+        padded = np.pad(
+            surface, ((0, down * rows - height), (0, across * columns - width)), mode="edge"
+        )
         tiles = padded.reshape(down, rows, across, columns)
         beside = np.ones((3, 3), np.uint8)
         first = cv2.erode(tiles.min(axis=(1, 3)), beside) - self.options.search_planes
@@ -284,7 +342,9 @@ class SweepLevel:
 
         radius, colour = self.options.median_radius_px, self.options.median_colour
         threads = kernels.get_threads()
-        return _stereo.weighted_median(surface, guide, self.planes.count, radius, colour, MEDIAN_TOLERANCE, threads)
+        return _stereo.weighted_median(
+            surface, guide, self.planes.count, radius, colour, MEDIAN_TOLERANCE, threads
+        )
 
 
 def _threads_and_level() -> tuple[int, int]:
@@ -294,7 +354,9 @@ def _threads_and_level() -> tuple[int, int]:
 def _as_fine_as(camera: Camera, partner: Camera) -> Camera:
     """Return the partner at a size at which its pixels are no finer than the camera's."""
     share = min(1.0, camera.focal_px / partner.focal_px)
-    return partner.resized(max(round(partner.width * share), 1), max(round(partner.height * share), 1))
+    return partner.resized(
+        max(round(partner.width * share), 1), max(round(partner.height * share), 1)
+    )
 
 
 def _shrink(image: Image8, size: tuple[int, int]) -> Image8:
@@ -309,7 +371,10 @@ def _grey(image: Image8) -> Map:
 
 
 class PlaneSweepEstimator(Estimator):
-    """Depth of one camera by a plane sweep; everything that does not depend on the images is prepared once."""
+    """Depth of one camera by a plane sweep.
+
+    Everything that does not depend on the images is prepared once.
+    """
 
     def __init__(self, camera: Camera, partners: Sequence[Camera], options: PlaneSweep) -> None:
         self.options = options
@@ -317,11 +382,12 @@ class PlaneSweepEstimator(Estimator):
         self._levels = [SweepLevel(camera.resized(*size), partners, options) for size in sizes]
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Return the depth at one instant, invalid everywhere where no partner sees anything of the camera's view.
+        """Return the depth at one instant, invalid everywhere where no partner sees anything of the
+        camera's view.
 
         Returns:
-            Depth, (H, W), and confidence: the mean correlation of the partners' windows with the camera's, 0 for a partner that
-            sees something else or nothing.
+            Depth, (H, W), and confidence: the mean correlation of the partners' windows with the
+            camera's, 0 for a partner that sees something else or nothing.
         """
         finest = self._levels[-1]
         if finest.blind:
@@ -335,7 +401,8 @@ class PlaneSweepEstimator(Estimator):
         inverse_depth, fit = finest.match(images, prior), finest.fit(images)
         for _ in range(self.options.refinements):
             refined = fit.refine(inverse_depth, finest.planes.step)
-            inverse_depth = np.maximum(refined, np.float32(finest.planes.first))  # what is beyond the planes is not at infinity
+            # what is beyond the planes is not at infinity
+            inverse_depth = np.maximum(refined, np.float32(finest.planes.first))
         return DepthMap(np.float32(1) / inverse_depth, fit.confidence(inverse_depth))
 
 

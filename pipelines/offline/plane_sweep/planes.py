@@ -34,11 +34,14 @@ class SweepPlanes:
         return (self.first + self.step * surface).astype(np.float32)
 
 
-def plan_planes(camera: Camera, partners: Sequence[Camera], step_px: float, most: int) -> SweepPlanes:
+def plan_planes(
+    camera: Camera, partners: Sequence[Camera], step_px: float, most: int
+) -> SweepPlanes:
     """Planes from the camera's far to its near, and one beyond on either side.
 
     Args:
-        step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
+        step_px: from plane to plane, points move by this much in the image of the widest partner,
+            pixels.
         most: number of planes at most; a step is longer where they do not suffice.
     """
     far, near = 1 / camera.far, 1 / camera.near
@@ -50,11 +53,17 @@ def plan_planes(camera: Camera, partners: Sequence[Camera], step_px: float, most
 
 
 def _median_parallax(camera: Camera, partner: Camera, far: float, near: float) -> float:
-    """Measure the median motion of pixels in the partner's image between two inverse depths, pixels of the camera."""
+    """Measure the median motion of pixels in the partner's image between two inverse depths, pixels
+    of the camera.
+    """
     towards = camera.rotation @ (partner.centre - camera.centre)
-    rays = (camera.pixel_centres()[::SAMPLED_PX, ::SAMPLED_PX] - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    rays = (camera.pixel_centres()[::SAMPLED_PX, ::SAMPLED_PX] - camera.K[:2, 2]) / camera.K[
+        [0, 1], [0, 1]
+    ]
 
     def project(inverse_depth: float) -> Array:
-        return (rays - towards[:2] * inverse_depth) / max(1 - towards[2] * inverse_depth, SMALLEST_DENOMINATOR)
+        return (rays - towards[:2] * inverse_depth) / max(
+            1 - towards[2] * inverse_depth, SMALLEST_DENOMINATOR
+        )
 
     return float(np.median(np.linalg.norm(project(near) - project(far), axis=-1))) * camera.focal_px

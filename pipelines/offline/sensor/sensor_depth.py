@@ -1,4 +1,6 @@
-"""Depth that a sensor measured next to the images, made fit for rendering: outliers removed, small holes closed."""
+"""Depth that a sensor measured next to the images, made fit for rendering: outliers removed, small
+holes closed.
+"""
 
 import cv2
 import numpy as np
@@ -13,20 +15,27 @@ from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edg
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
 from ggvs_eval.tasks.identity import code_of
 
-STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
+# of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
+STEPS = 1000
 # The filter; pixels are the sensor's.
-STEP = 0.03  # neighbours whose depths differ by more than this share of them are on two surfaces, ...
-STEEPEST_RAD = 1.4  # ... unless a surface whose normal is this far off the ray explains the difference
+# neighbours whose depths differ by more than this share of them are on two surfaces, ...
+STEP = 0.03
+# ... unless a surface whose normal is this far off the ray explains the difference
+STEEPEST_RAD = 1.4
 SPECKLE_PX = 20  # surfaces of fewer pixels than this are dropped
 HOLE_PX = 3  # holes up to this wide are filled, along the row or the column
-SMOOTH, SMOOTH_RADIUS_PX = 0.015, 4  # depth is averaged over near neighbours that differ by about this share of it
+# depth is averaged over near neighbours that differ by about this share of it
+SMOOTH, SMOOTH_RADIUS_PX = 0.015, 4
 EDGE_PX = 3.0  # confidence falls nearer than this to edges and holes
 FILLED_CONFIDENCE = 0.2  # of filled pixels, over that of measured ones
-OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to one of two opposite neighbours
+# rows down and columns right to one of two opposite neighbours
+OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 class SensorDepthEstimator:
-    """Depth of one camera from the sensor next to it, frame by frame, as `DepthEstimator` for stereo."""
+    """Depth of one camera from the sensor next to it, frame by frame, as `DepthEstimator` for
+    stereo.
+    """
 
     def __init__(self, camera: Camera, source: DepthSource) -> None:
         self.camera = camera
@@ -43,13 +52,18 @@ class SensorDepthEstimator:
         """
         if not 0 <= frame < self.source.n_frames:
             raise DepthError(
-                f"camera {self.camera.name}: wanted sensor depth of frame {frame}, the capture has depth of "
-                f"{self.source.n_frames} frames; choose other frames or compute depth by stereo"
+                f"camera {self.camera.name}: wanted sensor depth of frame {frame}, the capture has "
+                f"depth of {self.source.n_frames} frames; choose other frames or compute depth by "
+                "stereo"
             )
-        return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera)
+        return filter_sensor_depth(
+            next(iter(self.source.depths(frame, frame + 1))), image, self.camera
+        )
 
     def describe(self) -> dict[str, object]:
-        """Describe what the depth depends on besides camera and images: the options of `describe_depth`."""
+        """Describe what the depth depends on besides camera and images: the options of
+        `describe_depth`.
+        """
         return {**describe_filter(), "sensor": self.source.digest}
 
 
@@ -59,10 +73,12 @@ def describe_filter() -> dict[str, object]:
 
 
 def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
-    """Remove mixed pixels and speckles from the depth that a sensor measured, and resample it to the camera's size.
+    """Remove mixed pixels and speckles from the depth that a sensor measured, and resample it to
+    the camera's size.
 
     Args:
-        depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
+        depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at
+            any size.
         camera: the camera; depth outside its range is unknown.
 
     Returns:
@@ -72,17 +88,22 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
         DepthError: the image is not of the camera's size, or the depth is not a map of numbers.
 
     Reading:
-        The paper takes RGB-D input and names no filter. Sensors fail at edges, where a pixel sees two surfaces and reports a
-        depth between, and where little light comes back. Confidence is chosen here, a product: it falls towards edges and holes,
-        with the cosine between ray and surface normal, and by half from the camera to `far`. Its constants were chosen on a
-        HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds 101-103) seen
-        by a simulated sensor of a half and a third of the resolution with 0.5 % noise.
+        The paper takes RGB-D input and names no filter. Sensors fail at edges, where a pixel sees
+        two surfaces and reports a depth between, and where little light comes back. Confidence is
+        chosen here, a product: it falls towards edges and holes, with the cosine between ray and
+        surface normal, and by half from the camera to `far`. Its constants were chosen on a
+        HoloLens sequence, by how far depth warped between near frames agrees, and on validation
+        rooms (demo seeds 101-103) seen by a simulated sensor of a half and a third of the
+        resolution with 0.5 % noise.
     """
     _check(depth, image, camera)
     with np.errstate(invalid="ignore"):
-        depth_in_range = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(np.float32)
+        depth_in_range = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(
+            np.float32
+        )
     grid = SensorGrid.find(depth_in_range)
-    pitch = grid.columns.pitch * camera.width / depth.shape[1]  # of the sensor's pixels, in the camera's
+    # of the sensor's pixels, in the camera's
+    pitch = grid.columns.pitch * camera.width / depth.shape[1]
     step = max(STEP, float(np.tan(STEEPEST_RAD)) * pitch / camera.focal_px)
     reduced = drop_mixed_pixels(grid.reduce(depth_in_range), step)
     closed = drop_speckles(close_holes(reduced, HOLE_PX, step), SPECKLE_PX, step)
@@ -113,7 +134,10 @@ def drop_mixed_pixels(depth: Map, step: float) -> Map:
 
 
 def drop_speckles(depth: Map, speckle_px: int, step: float) -> Map:
-    """Invalidate connected surfaces of fewer than `speckle_px` pixels; neighbours within the share `step` are connected."""
+    """Invalidate connected surfaces of fewer than `speckle_px` pixels.
+
+    Neighbours within the share `step` are connected.
+    """
     mask = depth > 0
     if speckle_px <= 1 or not mask.any():
         return depth
@@ -125,7 +149,8 @@ def drop_speckles(depth: Map, speckle_px: int, step: float) -> Map:
 
 
 def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) -> Map:
-    """Return the trust in measured depth by its place: away from edges, facing the camera, near, (H, W) in [0, 1], 0 = unknown.
+    """Return the trust in measured depth by its place: away from edges, facing the camera, near,
+    (H, W) in [0, 1], 0 = unknown.
 
     Args:
         depth: (H, W), 0 = unknown.
@@ -136,19 +161,28 @@ def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) 
     low = cv2.erode(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
     high = cv2.dilate(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
     inner = (high - low <= step * low) & mask
-    distance = cv2.distanceTransform(np.pad(inner, 1, constant_values=True).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    distance = cv2.distanceTransform(
+        np.pad(inner, 1, constant_values=True).astype(np.uint8), cv2.DIST_L2, 5
+    )[1:-1, 1:-1]
     range_share = np.minimum(depth / np.float32(camera.far), np.float32(1))
-    confidence = np.minimum((1 + distance) / (1 + edge_px), 1) * _facing(depth, camera) / (1 + range_share**2)
+    confidence = (
+        np.minimum((1 + distance) / (1 + edge_px), 1)
+        * _facing(depth, camera)
+        / (1 + range_share**2)
+    )
     return np.where(mask, confidence, 0).astype(np.float32)
 
 
 def _facing(depth: Map, camera: Camera) -> Map:
-    """Return the cosine of the angle between each pixel's ray and the normal of the surface through its neighbours, (H, W)."""
+    """Return the cosine of the angle between each pixel's ray and the normal of the surface through
+    its neighbours, (H, W).
+    """
     slope_down, slope_across = np.gradient(depth.astype(np.float32))
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
     u, v = np.arange(camera.width) + 0.5 - cx, (np.arange(camera.height) + 0.5 - cy)[:, None]
     ray_length = np.sqrt(np.square(u / fx) + np.square(v / fy) + 1)
-    normal = fx * slope_across, fy * slope_down, depth + u * slope_across + v * slope_down  # times the depth, with a sign
+    # times the depth, with a sign
+    normal = fx * slope_across, fy * slope_down, depth + u * slope_across + v * slope_down
     length = np.sqrt(sum(np.square(part) for part in normal)) * ray_length
     return (depth / np.maximum(length, 1e-12)).astype(np.float32)
 
@@ -166,7 +200,7 @@ def _shift(depth: Map, down: int, right: int) -> Map:
 def _check(depth: Map, image: Image8, camera: Camera) -> None:
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating) or depth.size == 0:
         raise DepthError(
-            f"camera {camera.name}: wanted sensor depth (h, w) of floating-point numbers, got {depth.dtype} {depth.shape}; "
-            "scale the sensor's steps to world units first"
+            f"camera {camera.name}: wanted sensor depth (h, w) of floating-point numbers, got "
+            f"{depth.dtype} {depth.shape}; scale the sensor's steps to world units first"
         )
     as_image8(image, camera, DepthError)

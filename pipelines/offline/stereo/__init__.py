@@ -1,1 +1,3 @@
-"""Depth from pairs of cameras: rectification undone, semi-global matching, RAFT-Stereo, and the fusion of pairs."""
+"""Depth from pairs of cameras: rectification undone, semi-global matching, RAFT-Stereo, and the
+fusion of pairs.
+"""

@@ -18,7 +18,9 @@ class StereoMatcher(Matcher):
     """Finds for each pixel of the left image the one of the right image on the same row."""
 
     @abstractmethod
-    def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
+    def match(
+        self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None
+    ) -> tuple[Map, Map]:
         """Match a rectified pair.
 
         Args:
@@ -26,10 +28,12 @@ class StereoMatcher(Matcher):
             right: RGB, (H, W, 3); the point at column x on the left is at x - disparity.
             d_min: smallest disparity, pixels.
             d_max: largest disparity, pixels.
-            previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a matcher may start from it.
+            previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a
+                matcher may start from it.
 
         Returns:
-            Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0, 1], (H, W).
+            Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0,
+            1], (H, W).
         """
 
     def estimator(
@@ -42,18 +46,29 @@ class StereoMatcher(Matcher):
         /,
     ) -> Estimator:
         """See Matcher.estimator."""
-        return PairwiseEstimator(camera, partners, self, error_px, warm, shared)
+        return PairwiseEstimator(
+            camera=camera,
+            partners=partners,
+            matcher=self,
+            error_px=error_px,
+            warm=warm,
+            shared=shared,
+        )
 
 
 class PairwiseEstimator:
-    """Depth of one camera by a stereo matcher; everything that does not depend on the images is prepared once.
+    """Depth of one camera by a stereo matcher.
+
+    Everything that does not depend on the images is prepared once.
 
     Args:
         partners: those that cannot be rectified with the camera have no opinion.
-        error_px: estimates of two partners agree when disparity errors of this size explain their difference.
-        warm: give the matcher of each pair its previous result; the calls must then be consecutive instants.
-        shared: what was found of this instant and camera, by other estimators too; anyone who fills it empties it for the next
-            one.
+        error_px: estimates of two partners agree when disparity errors of this size explain their
+            difference.
+        warm: give the matcher of each pair its previous result; the calls must then be consecutive
+            instants.
+        shared: what was found of this instant and camera, by other estimators too; anyone who fills
+            it empties it for the next one.
     """
 
     def __init__(
@@ -66,7 +81,9 @@ class PairwiseEstimator:
         shared: SharedMatches | None = None,
     ) -> None:
         if warm and shared is not None:
-            raise DepthError(f"camera {camera.name}: wanted warm=False for shared matches, got True; unset it")
+            raise DepthError(
+                f"camera {camera.name}: wanted warm=False for shared matches, got True; unset it"
+            )
         self.matcher = matcher
         self.error_px = error_px
         self.warm = warm
@@ -78,18 +95,27 @@ class PairwiseEstimator:
         """Return the depth at one instant, invalid where no partner has an opinion.
 
         Returns:
-            Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.
+            Depth, (H, W), and confidence: the share of partners that agree, weighted by their
+            left-right agreement.
         """
-        estimates = [self._match(index, pair, image, partner_images[index]) for index, pair in self._pairs.items()]
-        depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
+        estimates = [
+            self._match(index, pair, image, partner_images[index])
+            for index, pair in self._pairs.items()
+        ]
+        # (N, H, W) each
+        depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))
         return DepthMap(*fuse(depths, confidences, disparities, self.error_px))
 
     def forget(self) -> None:
         """Begin a new sequence: the next call starts cold."""
         self._previous: dict[int, Map] = {}
 
-    def _match(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
-        """Return one partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
+    def _match(
+        self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8
+    ) -> tuple[Map, Map, Map]:
+        """Return one partner's depth, confidence and disparity at the camera's pixels, (H,
+        W) each.
+        """
         if self._shared is None:
             return self._found(index, pair, image, partner_image)
         key = self.matcher.name, self._names[index]
@@ -97,9 +123,13 @@ class PairwiseEstimator:
             self._shared[key] = self._found(index, pair, image, partner_image)
         return self._shared[key]
 
-    def _found(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
+    def _found(
+        self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8
+    ) -> tuple[Map, Map, Map]:
         left, right = pair.warp_left(image), pair.warp_right(partner_image)
-        disparity, confidence = self.matcher.match(left, right, pair.d_min, pair.d_max, self._previous.get(index))
+        disparity, confidence = self.matcher.match(
+            left, right, pair.d_min, pair.d_max, self._previous.get(index)
+        )
         if self.warm:
             self._previous[index] = disparity
         disparity = np.where(pair.sees(disparity), disparity, np.float32(0))

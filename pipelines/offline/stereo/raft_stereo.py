@@ -1,4 +1,5 @@
-"""RAFT-Stereo as a whole: features, correlation, and a recurrent unit that walks along the row to the match.
+"""RAFT-Stereo as a whole: features, correlation, and a recurrent unit that walks along the row to
+the match.
 
 Names of modules are those of the published checkpoints.
 """
@@ -53,7 +54,8 @@ class FeatureEncoder(Trunk):
 class ContextEncoder(Trunk):
     """Hidden state and context of up to three recurrent levels from the reference image ('cnet').
 
-    All three levels exist regardless of the configuration, as in the checkpoints; what is not used is not computed.
+    All three levels exist regardless of the configuration, as in the checkpoints; what is not used
+    is not computed.
     """
 
     def __init__(self, config: RaftShape) -> None:
@@ -64,7 +66,9 @@ class ContextEncoder(Trunk):
         self.layer5 = _stage(wide, wide, norm, 2)
         self.outputs08 = nn.ModuleList(_head(wide, width, norm) for _ in ("hidden", "context"))
         self.outputs16 = nn.ModuleList(_head(wide, width, norm) for _ in ("hidden", "context"))
-        self.outputs32 = nn.ModuleList(nn.Conv2d(wide, width, 3, padding=1) for _ in ("hidden", "context"))
+        self.outputs32 = nn.ModuleList(
+            nn.Conv2d(wide, width, 3, padding=1) for _ in ("hidden", "context")
+        )
 
     def heads(self, features: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Trunk features to (hidden, context) before their activations, finest level first."""
@@ -83,11 +87,17 @@ class ContextEncoder(Trunk):
 
 def _stage(width_in: int, width: int, norm: Norm, stride: int) -> nn.Sequential:
     normalise = normalisation(norm)
-    return nn.Sequential(ResidualBlock(width_in, width, normalise, stride), ResidualBlock(width, width, normalise))
+    return nn.Sequential(
+        ResidualBlock(width_in=width_in, width=width, normalise=normalise, stride=stride),
+        ResidualBlock(width, width, normalise),
+    )
 
 
 def _head(width_in: int, width: int, norm: Norm) -> nn.Sequential:
-    return nn.Sequential(ResidualBlock(width_in, width_in, normalisation(norm)), nn.Conv2d(width_in, width, 3, padding=1))
+    return nn.Sequential(
+        ResidualBlock(width_in, width_in, normalisation(norm)),
+        nn.Conv2d(width_in, width, 3, padding=1),
+    )
 
 
 def normalisation(norm: Norm) -> Callable[[int], nn.Module]:
@@ -109,12 +119,14 @@ class RaftStereo(nn.Module):
         self.cnet = ContextEncoder(config)
         self.update_block = UpdateBlock(config)
         self.context_zqr_convs = nn.ModuleList(
-            nn.Conv2d(config.hidden_width, 3 * config.hidden_width, 3, padding=1) for _ in range(config.n_gru_layers)
+            nn.Conv2d(config.hidden_width, 3 * config.hidden_width, 3, padding=1)
+            for _ in range(config.n_gru_layers)
         )
         if config.shared_backbone:
             wide = config.trunk_widths[-1]
             self.conv2 = nn.Sequential(
-                ResidualBlock(wide, wide, nn.InstanceNorm2d), nn.Conv2d(wide, config.feature_width, 3, padding=1)
+                ResidualBlock(wide, wide, nn.InstanceNorm2d),
+                nn.Conv2d(wide, config.feature_width, 3, padding=1),
             )
         else:
             self.fnet = FeatureEncoder(config)
@@ -129,24 +141,33 @@ class RaftStereo(nn.Module):
             initial: flow to start from, in cells, (B, 1, H / factor, W / factor); zero by default.
 
         Returns:
-            Horizontal flow (negative disparity) in cells after each iteration, (B, 1, H / factor, W / factor) float32 each, the
-            last one in pixels, (B, 1, H, W), and the features that were correlated, (B, C, H / factor, W / factor) each.
+            Horizontal flow (negative disparity) in cells after each iteration, (B, 1, H / factor, W
+            / factor) float32 each, the last one in pixels, (B, 1, H, W), and the features that were
+            correlated, (B, C, H / factor, W / factor) each.
         """
         features = self.features(left, right)
         flows, weights = self.walk(*features, iterations, initial)
         return flows, upsample_convex(flows[-1], weights, self.config.factor), features[:2]
 
     @torch.inference_mode()
-    def flow(self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return the last flow alone: in pixels, (B, 1, H, W), and in cells, (B, 1, H / factor, W / factor).
+    def flow(
+        self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return the last flow alone: in pixels, (B, 1, H, W), and in cells, (B, 1, H / factor, W /
+        factor).
 
-        Arguments as of `forward`; gradients are not kept and only the last flow is brought to full size.
+        Arguments as of `forward`; gradients are not kept and only the last flow is brought to full
+        size.
         """
         flows, weights = self.walk(*self.features(left, right), iterations, initial)
         return upsample_convex(flows[-1], weights, self.config.factor), flows[-1]
 
-    def features(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
-        """Return the features of both images, (B, C, h, w) each, and (hidden, context) of every level, finest first."""
+    def features(
+        self, left: Tensor, right: Tensor
+    ) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
+        """Return the features of both images, (B, C, h, w) each, and (hidden, context) of every
+        level, finest first.
+        """
         left, right = 2 * (left / 255) - 1, 2 * (right / 255) - 1
         if self.config.shared_backbone:
             trunk = self.cnet.trunk(torch.cat([left, right]))
@@ -155,10 +176,30 @@ class RaftStereo(nn.Module):
         else:
             pairs = self.cnet.heads(self.cnet.trunk(left))
             of_left, of_right = self.fnet(torch.cat([left, right])).chunk(2)
-        return of_left, of_right, [(torch.tanh(hidden), torch.relu(context)) for hidden, context in pairs]
+        return (
+            of_left,
+            of_right,
+            [(torch.tanh(hidden), torch.relu(context)) for hidden, context in pairs],
+        )
 
     def walk(
-        self, of_left: Tensor, of_right: Tensor, states: list[tuple[Tensor, Tensor]], iterations: int, initial: Tensor | None
+        self,
+        of_left: Tensor,
+        of_right: Tensor,
+        states: list[tuple[Tensor, Tensor]],
+        iterations: int,
+        initial: Tensor | None,
     ) -> tuple[list[Tensor], Tensor]:
-        """Flow in cells after each iteration, and the weights that enlarge the last one to full size, see `raft_update.walk`."""
-        return walk(self.update_block, self.context_zqr_convs, of_left, of_right, states, iterations, initial, self.volume_bytes)
+        """Flow in cells after each iteration, and the weights that enlarge the last one to full
+        size, see `raft_update.walk`.
+        """
+        return walk(
+            self.update_block,
+            self.context_zqr_convs,
+            of_left,
+            of_right,
+            states,
+            iterations,
+            initial,
+            self.volume_bytes,
+        )

@@ -1,4 +1,6 @@
-"""A number measured against the truth as OpenCV decodes it is explained as that, through the command line."""
+"""A number measured against the truth as OpenCV decodes it is explained as that, through the
+command line.
+"""
 
 import shutil
 from dataclasses import replace

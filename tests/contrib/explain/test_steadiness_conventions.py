@@ -1,4 +1,6 @@
-"""The conventions of mTV, each met by numpy's own value, and the doctor's line on steadiness that blur has bought."""
+"""The conventions of mTV, each met by numpy's own value, and the doctor's line on steadiness that
+blur has bought.
+"""
 
 import cv2
 import numpy as np
@@ -48,9 +50,13 @@ def view_of(rendered, truth=TRUTH) -> dict[str, ViewFrames]:
 @pytest.mark.parametrize("kind", VALUES)
 @pytest.mark.parametrize(("scale", "white"), [("x 100", 100), ("in 0..1", 1), ("in 0..255", 255)])
 def test_conventions_of_mtv(kind, scale, white):
-    """Mask and scale of a quoted value are told; our tables take what stands still between the two frames, times 100."""
+    """Mask and scale of a quoted value are told; our tables take what stands still between the two
+    frames, times 100.
+    """
     quoted = f"{white * VALUES[kind] / 255:.6f}"
-    matching = {one.name: one.is_ours for one in explain("mTV", quoted, view_of(RENDERED)) if one.matches}
+    matching = {
+        one.name: one.is_ours for one in explain("mTV", quoted, view_of(RENDERED)) if one.matches
+    }
 
     assert matching == {f"{kind}, {scale}": (kind, scale) == (OURS, "x 100")}
 
@@ -58,25 +64,44 @@ def test_conventions_of_mtv(kind, scale, white):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        (f"neighbouring frames, {EVERYWHERE}, mean over channels, x 1000", 1000 * np.square(CHANGES / 255).mean()),
+        (
+            f"neighbouring frames, {EVERYWHERE}, mean over channels, x 1000",
+            1000 * np.square(CHANGES / 255).mean(),
+        ),
         (
             f"neighbouring frames, {OURS}, sum over channels, white is 1",
-            3 * np.mean([np.square(one[mask] / 255).mean() for one, mask in zip(CHANGES, MASKS, strict=True)]),
+            3
+            * np.mean(
+                [
+                    np.square(one[mask] / 255).mean()
+                    for one, mask in zip(CHANGES, MASKS, strict=True)
+                ]
+            ),
         ),
         (
             f"each frame and the first, {EVERYWHERE}, root of the mean, white is 1",
-            np.mean([np.sqrt(np.square((one - RENDERED[0].astype(float)) / 255).mean()) for one in RENDERED[1:]]),
+            np.mean(
+                [
+                    np.sqrt(np.square((one - RENDERED[0].astype(float)) / 255).mean())
+                    for one in RENDERED[1:]
+                ]
+            ),
         ),
     ],
 )
 def test_conventions_of_the_warping_error(name, value):
     """Against which frame, in which pixels, squared how: each is told apart."""
-    matching = {one.name for one in explain("E_warp", f"{value:.8f}", view_of(RENDERED)) if one.matches}
+    matching = {
+        one.name for one in explain("E_warp", f"{value:.8f}", view_of(RENDERED)) if one.matches
+    }
 
     assert matching == {name}
 
 
-@pytest.mark.parametrize(("metric", "words"), [("COLMAP_matches", "is of a camera path"), ("depth_mtv", "is of depth videos")])
+@pytest.mark.parametrize(
+    ("metric", "words"),
+    [("COLMAP_matches", "is of a camera path"), ("depth_mtv", "is of depth videos")],
+)
 def test_metrics_of_no_view_say_so(metric, words):
     """What has no test view is named for what it is of, not taken for a typing error."""
     with pytest.raises(MetricError, match=words):
@@ -92,7 +117,9 @@ def test_one_frame_has_no_change():
 
 
 def test_the_doctor_tells_steadiness_by_blur():
-    """A blurred rendering is steadier than the noisy capture and less sharp, and told so; a noisy one is not."""
+    """A blurred rendering is steadier than the noisy capture and less sharp, and told so; a noisy
+    one is not.
+    """
     blurred = [cv2.GaussianBlur(frame, (0, 0), 2) for frame in SCENE]
 
     assert "more stable but blurrier" in steadiness_line(view_of(blurred))

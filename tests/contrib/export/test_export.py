@@ -1,4 +1,6 @@
-"""``ggvs-eval export``: others' clouds, sequences, 4DGS output as one .glb, and ``splats:FILE.glb``, which reads it."""
+"""``ggvs-eval export``: others' clouds, sequences, 4DGS output as one .glb, and
+``splats:FILE.glb``, which reads it.
+"""
 
 import json
 import struct
@@ -29,7 +31,10 @@ def capture(tmp_path_factory) -> Capture:
 def folder(tmp_path) -> Path:
     """Clouds of frames 1, 2 and 4."""
     for frame in (1, 2, 4):
-        write_ply(tmp_path / "clouds" / f"room_{frame:03d}.ply", random_cloud(30, seed=frame, dtype=torch.float32))
+        write_ply(
+            tmp_path / "clouds" / f"room_{frame:03d}.ply",
+            random_cloud(30, seed=frame, dtype=torch.float32),
+        )
     return tmp_path / "clouds"
 
 
@@ -48,7 +53,9 @@ def refusal(*words) -> str:
 
 
 def test_a_sequence_is_rendered_from_its_one_file(folder, capture, tmp_path, capsys):
-    """Frames keep their numbers; frames per second and what is up are those of the capture; it may be written once more."""
+    """Frames keep their numbers; frames per second and what is up are those of the capture; it may
+    be written once more.
+    """
     out, again = tmp_path / "new" / "sequence.glb", tmp_path / "again.glb"
     run_command(["export", str(folder), str(out), "--capture", str(capture.path)])
     assert f"{out}: 3 instants at {capture.fps:g} frames per second" in capsys.readouterr().out
@@ -59,25 +66,32 @@ def test_a_sequence_is_rendered_from_its_one_file(folder, capture, tmp_path, cap
     files, one, flat = open_splats(folder), open_splats(out), open_splats(again)
     for frame in (4, 1, 2):
         expected = files.render(frame, capture.cameras[0])
-        np.testing.assert_allclose(one.render(frame, capture.cameras[0]).image, expected.image, atol=3e-6)
+        np.testing.assert_allclose(
+            one.render(frame, capture.cameras[0]).image, expected.image, atol=3e-6
+        )
     assert expected.image.max() > 0.1
     assert flat.cloud(2).degree == 1
     x, y, z, w = document(out)["nodes"][0]["rotation"]
     turn, up = np.array([x, y, z]), up_direction(capture.cameras)
-    np.testing.assert_allclose(up + 2 * np.cross(turn, np.cross(turn, up) + w * up), (0, 1, 0), atol=1e-9)
+    np.testing.assert_allclose(
+        up + 2 * np.cross(turn, np.cross(turn, up) + w * up), (0, 1, 0), atol=1e-9
+    )
     assert "rotation" not in document(again)["nodes"][0]
     assert splats_notes(out) == []
     assert named_splats([f"splats:{out}"])[0] == ("splats-sequence",)
 
 
 def test_one_cloud_is_no_animation(folder, tmp_path, capsys):
-    run_command(["export", str(folder / "room_002.ply"), str(tmp_path / "one.glb"), "--up", "0", "-1", "0"])
+    run_command(
+        ["export", str(folder / "room_002.ply"), str(tmp_path / "one.glb"), "--up", "0", "-1", "0"]
+    )
 
     assert "one instant" in capsys.readouterr().out
     assert "animations" not in document(tmp_path / "one.glb")
     assert document(tmp_path / "one.glb")["nodes"][0]["rotation"] == [1, 0, 0, 0]
     torch.testing.assert_close(
-        open_splats(tmp_path / "one.glb").cloud(7).means, random_cloud(30, seed=2, dtype=torch.float32).means
+        open_splats(tmp_path / "one.glb").cloud(7).means,
+        random_cloud(30, seed=2, dtype=torch.float32).means,
     )
 
 
@@ -94,7 +108,9 @@ def test_output_of_4dgs_moves_through_its_clip(capture, tmp_path):
     published, written = open_splats(tmp_path / "output", range(capture.n_frames)), open_splats(out)
     assert list(written.instants) == list(range(capture.n_frames))
     last = capture.n_frames - 1
-    torch.testing.assert_close(written.cloud(last).means, published.cloud(last).means.detach(), rtol=0, atol=0)
+    torch.testing.assert_close(
+        written.cloud(last).means, published.cloud(last).means.detach(), rtol=0, atol=0
+    )
 
 
 def test_what_is_no_call(folder, tmp_path):

@@ -17,7 +17,9 @@ SHAPE = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> list[Path]:
-    """Two scenes under one protocol and one under another, without their frames; nobody changes them."""
+    """Two scenes under one protocol and one under another, without their frames; nobody changes
+    them.
+    """
     root = tmp_path_factory.mktemp("runs")
     shapes = {
         "first": replace(SHAPE, scene="first"),
@@ -32,7 +34,9 @@ def runs(tmp_path_factory) -> list[Path]:
 
 
 def test_a_tracked_method_has_the_tables_numbers(runs):
-    """Means are the summary's, curves have a value per frame, settings name protocol, scene and method."""
+    """Means are the summary's, curves have a value per frame, settings name protocol, scene and
+    method.
+    """
     run = read_scores(runs[0])
     summary = run.results.summary()
     for method, label in zip(tracked_methods(run, "first"), LABELS, strict=True):
@@ -50,17 +54,24 @@ def test_tensorboard_reads_back_what_was_written(runs, tmp_path):
     out = track_results(runs[:1], "tensorboard", tmp_path / "tracked")
     method = tracked_methods(read_scores(runs[0]), "first")[0]
 
-    scalars = read_scalars(next((out / read_scores(runs[0]).protocol.name / method.name).glob("events.*")))
-    assert scalars["mean/PSNR", 0] == pytest.approx(method.means["PSNR"])
-    assert {frame: value for (tag, frame), value in scalars.items() if tag == "frame/LPIPS"} == pytest.approx(
-        dict(method.curves["LPIPS"])
+    scalars = read_scalars(
+        next((out / read_scores(runs[0]).protocol.name / method.name).glob("events.*"))
     )
+    assert scalars["mean/PSNR", 0] == pytest.approx(method.means["PSNR"])
+    assert {
+        frame: value for (tag, frame), value in scalars.items() if tag == "frame/LPIPS"
+    } == pytest.approx(dict(method.curves["LPIPS"]))
 
 
 def test_runs_in_folders_of_one_name_are_tracked_apart(runs, tmp_path):
-    """Two run folders called alike in different places are two of the tracker's, and two names on the leaderboard."""
+    """Two run folders called alike in different places are two of the tracker's, and two names on
+    the leaderboard.
+    """
     pytest.importorskip("tensorboardX")
-    roots = [Path(shutil.copytree(run, tmp_path / place / "run")) for run, place in zip(runs[:2], ("a", "b"), strict=True)]
+    roots = [
+        Path(shutil.copytree(run, tmp_path / place / "run"))
+        for run, place in zip(runs[:2], ("a", "b"), strict=True)
+    ]
     out = track_results(roots, "tensorboard", tmp_path / "tracked")
     project = out / read_scores(roots[0]).protocol.name
     assert len(list(project.glob("*/run/*"))) == len(LABELS) + 2
@@ -77,7 +88,9 @@ def read_scalars(file: Path) -> dict[tuple[str, int], float]:
         length = int.from_bytes(content[at : at + 8], "little")
         event = Event.FromString(content[at + 12 : at + 12 + length])
         scalars |= {
-            (value.tag, event.step): value.simple_value for value in event.summary.value if value.HasField("simple_value")
+            (value.tag, event.step): value.simple_value
+            for value in event.summary.value
+            if value.HasField("simple_value")
         }
         at += 16 + length
     return scalars

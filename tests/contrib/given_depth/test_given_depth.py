@@ -1,4 +1,6 @@
-"""Depth from elsewhere: maps of each kind are read, aligned with the calibration, and rendered from; wrong ones show."""
+"""Depth from elsewhere: maps of each kind are read, aligned with the calibration, and rendered
+from; wrong ones show.
+"""
 
 from dataclasses import replace
 
@@ -32,7 +34,9 @@ def room(tmp_path_factory):
 def exact(room):
     """Camera -> its exact depth, (T, H, W), as `film` writes it beside the capture."""
     depth = {
-        name: np.stack([read_exact_depth(room.path, name, frame).astype(np.float32) for frame in range(FRAMES)])
+        name: np.stack(
+            [read_exact_depth(room.path, name, frame).astype(np.float32) for frame in range(FRAMES)]
+        )
         for name in room.camera_names
     }
     return depth
@@ -51,7 +55,9 @@ def notes_of(room, folder, **given):
 
 
 def test_a_factor_is_fitted_to_shared_points(room, exact, tmp_path):
-    """Maps that are true up to a factor of 3.7 come back in world units, within half a percent of the exact depth."""
+    """Maps that are true up to a factor of 3.7 come back in world units, within half a percent of
+    the exact depth.
+    """
     capture = attach_depth(room, GivenDepth(str(written(tmp_path / "d", exact, 3.7))))
     for name in room.camera_names[:2]:
         depth = next(capture.extras_of(name).depth.depths(1, 2))
@@ -74,13 +80,16 @@ def test_more_maps_than_frames_are_said(room, exact, tmp_path):
     """Which maps are used is named where there are more than frames; equal numbers need no word."""
     longer = {name: np.concatenate([values, values]) for name, values in exact.items()}
     assert any(
-        f"{2 * FRAMES} depth maps" in note and "first ones" in note for note in notes_of(room, written(tmp_path / "l", longer))
+        f"{2 * FRAMES} depth maps" in note and "first ones" in note
+        for note in notes_of(room, written(tmp_path / "l", longer))
     )
     assert not any("first ones" in note for note in notes_of(room, written(tmp_path / "d", exact)))
 
 
 def test_lengths_of_rays_are_told_from_z(room, exact, tmp_path):
-    """Distances taken for z are named with the option that mends it, which gives exact z; z is not suspected."""
+    """Distances taken for z are named with the option that mends it, which gives exact z; z is not
+    suspected.
+    """
 
     def as_distance(camera, values):
         return values / z_per_distance(camera, values.shape[1:])
@@ -91,8 +100,17 @@ def test_lengths_of_rays_are_told_from_z(room, exact, tmp_path):
     assert not any("try --depth-is" in note for note in right.notes)
     name = room.camera_names[0]
     known = exact[name][0] > 0
-    assert np.median(np.abs(next(right.extras_of(name).depth.depths(0, 1))[known] / exact[name][0][known] - 1)) < 0.005
-    assert not any("try --depth-is" in note for note in notes_of(room, written(tmp_path / "z", exact)))
+    assert (
+        np.median(
+            np.abs(
+                next(right.extras_of(name).depth.depths(0, 1))[known] / exact[name][0][known] - 1
+            )
+        )
+        < 0.005
+    )
+    assert not any(
+        "try --depth-is" in note for note in notes_of(room, written(tmp_path / "z", exact))
+    )
 
 
 @pytest.mark.parametrize("kind", ["npy", "npz", "png", "pfm", "exr", "bin", "geometric.bin"])
@@ -118,11 +136,15 @@ def test_every_kind_is_read(room, exact, tmp_path, kind):
     maps = find_maps(tmp_path, room.camera_names)[name]
     assert [file.stem.partition(".")[0] for file in maps] == ["0000", "0001"]
     scale = 0.001 if kind == "png" else 1.0
-    assert np.allclose(read_map(maps[1]) * scale, exact[name][1], atol=0.0006 if kind == "png" else 1e-5)
+    assert np.allclose(
+        read_map(maps[1]) * scale, exact[name][1], atol=0.0006 if kind == "png" else 1e-5
+    )
 
 
 def test_what_cannot_be_used_is_refused(room, exact, tmp_path):
-    """No folder, names of no camera, too few frames, a text, two kinds at once: each is one line that says what to do."""
+    """No folder, names of no camera, too few frames, a text, two kinds at once: each is one line
+    that says what to do.
+    """
     with refused(CaptureError, "check --depth"):
         notes_of(room, tmp_path / "none")
     (tmp_path / "other").mkdir()
@@ -144,15 +166,31 @@ def test_what_cannot_be_used_is_refused(room, exact, tmp_path):
 
 @pytest.mark.slow
 def test_a_run_renders_from_it_and_is_resumed(room, exact, tmp_path, capsys):
-    """With exact depth a run is better than by stereo, its folder knows where the depth is, and a later verb uses it again."""
+    """With exact depth a run is better than by stereo, its folder knows where the depth is, and a
+    later verb uses it again.
+    """
     folder = written(tmp_path / "d", exact, 2.0)
     protocol = tmp_path / "p.toml"
-    protocol.write_text(f'[views]\ntest = ["{room.camera_names[1]}"]\n[measurement]\nmetrics = ["PSNR"]\n[path]\nposes = 0\n')
-    words = ["--capture", str(room.path), "--protocol", str(protocol), "--methods", "ours-geometric", "--jobs", "1"]
+    protocol.write_text(
+        f'[views]\ntest = ["{room.camera_names[1]}"]\n[measurement]\nmetrics = '
+        f'["PSNR"]\n[path]\nposes = 0\n'
+    )
+    words = [
+        "--capture",
+        str(room.path),
+        "--protocol",
+        str(protocol),
+        "--methods",
+        "ours-geometric",
+        "--jobs",
+        "1",
+    ]
     run_command(["run", str(tmp_path / "given"), *words, "--depth", str(folder)])
     assert "factor of 0.5" in capsys.readouterr().err
     run_command(["run", str(tmp_path / "stereo"), *words])
-    psnr = {run: Results.read(tmp_path / run).summary()["PSNR"].item() for run in ("given", "stereo")}
+    psnr = {
+        run: Results.read(tmp_path / run).summary()["PSNR"].item() for run in ("given", "stereo")
+    }
     assert psnr["given"] > psnr["stereo"] + 0.2
     before = {folder.name for folder in (tmp_path / "given" / "depth").iterdir()}
     run_command(["render", str(tmp_path / "given"), "--methods", "distance-based", "--jobs", "1"])

@@ -1,4 +1,6 @@
-"""MVSNeRF: names and shapes of the published checkpoint, outputs equal to the authors', and the method as a whole."""
+"""MVSNeRF: names and shapes of the published checkpoint, outputs equal to the authors', and the
+method as a whole.
+"""
 
 import json
 from dataclasses import replace
@@ -26,7 +28,9 @@ STATES = ("network_mvs_state_dict", "network_fn_state_dict")
 
 
 def gentle(networks: Networks) -> Networks:
-    """Less of the places and of density, so that octaves of random weight do not enlarge the last bits of a place."""
+    """Less of the places and of density, so that octaves of random weight do not enlarge the last
+    bits of a place.
+    """
     network = networks.network_fn.nerf
     with torch.no_grad():
         for layer in (network.pts_linears[0], network.pts_linears[5]):
@@ -77,15 +81,23 @@ def shapes_of(state):
 
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
-    """Every parameter and buffer of the authors' networks exists under its name with its shape, and no other."""
+    """Every parameter and buffer of the authors' networks exists under its name with its shape, and
+    no other.
+    """
     oracle = json.loads((DATA_FOLDER / "mvsnerf_state_dict.json").read_text())
-    assert {name: shapes_of(state) for name, state in checkpoint(Networks()).items() if name in STATES} == oracle
+    assert {
+        name: shapes_of(state) for name, state in checkpoint(Networks()).items() if name in STATES
+    } == oracle
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not PUBLISHED.is_file(), reason=f"the published checkpoint is not there: {PUBLISHED.name}")
+@pytest.mark.skipif(
+    not PUBLISHED.is_file(), reason=f"the published checkpoint is not there: {PUBLISHED.name}"
+)
 def test_the_published_checkpoint_loads_and_renders():
-    """The authors' own file loads strictly, by `--weights` too, and shows a rig that it has never seen better than grey."""
+    """The authors' own file loads strictly, by `--weights` too, and shows a rig that it has never
+    seen better than grey.
+    """
     method = find_method("mvsnerf", NetworkOptions({"mvsnerf": PUBLISHED})).make()
     instant = turned_rig(3)
     instant = replace(instant, target=instant.target.resized(48, 32))
@@ -99,19 +111,31 @@ def test_features_and_volume_are_the_authors(networks, volume, golden):
     """Features of a view, and the encoded volume of three, agree with the authors' to 1e-4."""
     sources = turned_rig(3).sources
     np.testing.assert_allclose(volume.features[:, ::8, ::8, ::8], golden["volume"], atol=2e-4)
-    images = torch.stack([torch.from_numpy(source.image).permute(2, 0, 1).float() / 255 for source in sources])
+    images = torch.stack(
+        [torch.from_numpy(source.image).permute(2, 0, 1).float() / 255 for source in sources]
+    )
     mean, deviation = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
     normalised = (images - mean[:, None, None]) / deviation[:, None, None]
-    np.testing.assert_allclose(networks.network_mvs.feature(normalised)[0, ::2, ::2, ::2], golden["features"], atol=1e-4)
+    np.testing.assert_allclose(
+        networks.network_mvs.feature(normalised)[0, ::2, ::2, ::2], golden["features"], atol=1e-4
+    )
 
 
 @pytest.mark.slow
 def test_rendered_pixels_are_the_authors(networks, volume, golden):
-    """Every 7th pixel of a turned rig, 128 samples a ray, agrees with the authors': 99 % to 1e-4 in colour, all to 2e-3."""
+    """Every 7th pixel of a turned rig, 128 samples a ray, agrees with the authors': 99 % to 1e-4 in
+    colour, all to 2e-3.
+    """
     target = turned_rig(3).target
-    centre, rays = torch.as_tensor(target.centre).float(), torch.as_tensor(target.rays().reshape(-1, 3)).float()[::7]
-    # The rays that the authors' pixels are of, not all: seven times as many pass through the network for nobody to see.
-    parts = [render_rays(networks.network_fn.nerf, volume, centre, chunk) for chunk in rays.split(32)]
+    centre, rays = (
+        torch.as_tensor(target.centre).float(),
+        torch.as_tensor(target.rays().reshape(-1, 3)).float()[::7],
+    )
+    # The rays that the authors' pixels are of, not all: seven times as many pass through the
+    # network for nobody to see.
+    parts = [
+        render_rays(networks.network_fn.nerf, volume, centre, chunk) for chunk in rays.split(32)
+    ]
     image, depth = (torch.cat(values).numpy() for values in zip(*parts, strict=True))
     error = np.abs(image - golden["rgb"]).max(axis=1)
     assert np.quantile(error, 0.99) < 1e-4
@@ -122,7 +146,9 @@ def test_rendered_pixels_are_the_authors(networks, volume, golden):
 
 @pytest.mark.slow
 def test_a_volume_becomes_a_picture(networks, volume, golden):
-    """Chunks of rays, the last one shorter, stand row by row: every 7th pixel of the first rows is the authors'."""
+    """Chunks of rays, the last one shorter, stand row by row: every 7th pixel of the first rows is
+    the authors'.
+    """
     target = turned_rig(3).target
     target = target.cropped(0, 0, target.width, 4)
     image, depth = render_volume(networks, volume, target, rays_per_chunk=50)
@@ -139,7 +165,9 @@ def test_a_published_checkpoint_loads_strictly(networks, weights):
 
 
 def test_it_renders_by_its_authors_weights_alone():
-    """None ship and none are learned here: without a file it says which one, and it is no training."""
+    """None ship and none are learned here: without a file it says which one, and it is no
+    training.
+    """
     with pytest.raises(WeightsError, match=r"mvsnerf-v0\.tar.*--weights mvsnerf=FILE"):
         find_method("mvsnerf").make()
     assert "mvsnerf" in LEARNED_BASELINES
@@ -147,16 +175,24 @@ def test_it_renders_by_its_authors_weights_alone():
 
 
 def odd_rig(views):
-    """A rig whose target has another size than its sources, these two sizes, none of them a multiple of 32."""
+    """A rig whose target has another size than its sources, these two sizes, none of them a
+    multiple of 32.
+    """
     instant = turned_rig(views, 44, 36)
     first, *others = instant.sources
     larger = turned_rig(views, 70, 36).sources[0]
-    return replace(instant, target=instant.target.resized(19, 25), sources=(first, *others[:1], larger, *others[2:]))
+    return replace(
+        instant,
+        target=instant.target.resized(19, 25),
+        sources=(first, *others[:1], larger, *others[2:]),
+    )
 
 
 @pytest.mark.slow
 def test_a_step_gives_a_picture(weights):
-    """Finite, of the target's size, not flat, in [0, 1]; the depth lies before the last plane; a fourth view changes nothing."""
+    """Finite, of the target's size, not flat, in [0, 1]; the depth lies before the last plane; a
+    fourth view changes nothing.
+    """
     rendering = MvsNerf(weights).step(odd_rig(3))
     assert rendering.image.shape == (25, 19, 3)
     assert rendering.image.dtype == np.float32
@@ -171,13 +207,17 @@ def test_a_step_gives_a_picture(weights):
 @pytest.mark.proof
 @pytest.mark.usefixtures("torch_threads")
 def test_a_step_is_the_same_again(weights):
-    """Equal bits from a second object and with another number of threads, close ones with other chunks."""
+    """Equal bits from a second object and with another number of threads, close ones with other
+    chunks.
+    """
     instant = odd_rig(3)
     first = MvsNerf(weights).step(instant).image
     torch.set_num_threads(2)
     assert np.array_equal(MvsNerf(weights).step(instant).image, first)
     assert torch.get_num_threads() == 2
-    np.testing.assert_allclose(MvsNerf(weights, rays_per_chunk=101).step(instant).image, first, atol=1e-4)
+    np.testing.assert_allclose(
+        MvsNerf(weights, rays_per_chunk=101).step(instant).image, first, atol=1e-4
+    )
 
 
 def test_too_few_views_are_refused(weights):

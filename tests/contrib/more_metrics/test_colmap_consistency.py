@@ -1,4 +1,6 @@
-"""COLMAP consistency of a path, by COLMAP itself: a true path scores high; shuffled, invented and frozen images do not."""
+"""COLMAP consistency of a path, by COLMAP itself: a true path scores high; shuffled, invented and
+frozen images do not.
+"""
 
 import numpy as np
 import pytest
@@ -27,9 +29,17 @@ def path() -> list[PathPose]:
 
 @pytest.mark.slow
 def test_a_true_path_is_found_again_and_shuffled_frames_are_not(path):
-    """Of the true views all stand where their cameras do; of the same views in another order, a third at most."""
-    true = {name: value for name, pose, value in score_path(path, metrics=NAMES[:1]).values if pose is None}
-    shuffled = colmap_consistency([path[index].image for index in SHUFFLED], [pose.camera for pose in path])
+    """Of the true views all stand where their cameras do; of the same views in another order, a
+    third at most.
+    """
+    true = {
+        name: value
+        for name, pose, value in score_path(path, metrics=NAMES[:1]).values
+        if pose is None
+    }
+    shuffled = colmap_consistency(
+        [path[index].image for index in SHUFFLED], [pose.camera for pose in path]
+    )
 
     assert true["COLMAP_registered"] == 1
     assert true["COLMAP_track_length"] > 5
@@ -40,18 +50,30 @@ def test_a_true_path_is_found_again_and_shuffled_frames_are_not(path):
 
 @pytest.mark.slow
 def test_noise_and_a_frozen_image_do_not_score_high(path):
-    """Noise has features and no match; a frozen image matches itself and shows nothing from two places."""
-    noise = [np.random.default_rng(index).integers(0, 256, (*SIZE[::-1], 3), dtype=np.uint8) for index in range(VIEWS)]
+    """Noise has features and no match; a frozen image matches itself and shows nothing from two
+    places.
+    """
+    noise = [
+        np.random.default_rng(index).integers(0, 256, (*SIZE[::-1], 3), dtype=np.uint8)
+        for index in range(VIEWS)
+    ]
     invented, frozen = colmap_consistency(noise), colmap_consistency([path[0].image] * VIEWS)
 
-    assert (invented.registered, invented.track_length, invented.matches, invented.n_points) == (0, 0, 0, 0)
+    assert (invented.registered, invented.track_length, invented.matches, invented.n_points) == (
+        0,
+        0,
+        0,
+        0,
+    )
     assert (frozen.registered, frozen.track_length, frozen.n_points) == (0, 0, 0)
     assert frozen.matches > 100
 
 
 @pytest.mark.slow
 def test_colmap_runs_only_where_one_of_its_metrics_is_named(path):
-    """Seconds are spent on a path only where a protocol asks for what they buy; too short a path says so."""
+    """Seconds are spent on a path only where a protocol asks for what they buy; too short a path
+    says so.
+    """
     unasked, short = score_path(path), score_path(path[:3], metrics=NAMES)
 
     assert not set(NAMES) & {*unasked.not_computed, *(name for name, _, _ in unasked.values)}

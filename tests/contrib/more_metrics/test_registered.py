@@ -1,4 +1,6 @@
-"""PSNR of registered pictures: known homographies are found and undone, and what is no motion of the whole gains nothing."""
+"""PSNR of registered pictures: known homographies are found and undone, and what is no motion of
+the whole gains nothing.
+"""
 
 import cv2
 import numpy as np
@@ -19,7 +21,9 @@ MIDDLE = np.s_[16:-16, 16:-16]
 def moved(homography):
     """The picture whose pixel `homography @ x` shows what the truth shows at x."""
     flags = cv2.INTER_LANCZOS4
-    return cv2.warpPerspective(TRUTH, homography, (WIDTH, HEIGHT), flags=flags, borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpPerspective(
+        TRUTH, homography, (WIDTH, HEIGHT), flags=flags, borderMode=cv2.BORDER_REFLECT
+    )
 
 
 def random_homography(seed, most_px):
@@ -30,10 +34,15 @@ def random_homography(seed, most_px):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("most_px", [0.5, 6.0])
 def test_a_homography_is_undone(seed, most_px):
-    """Corners that lie up to 6 px off come back to what two interpolations cost, also in a picture of other colours."""
+    """Corners that lie up to 6 px off come back to what two interpolations cost, also in a picture
+    of other colours.
+    """
     picture = moved(random_homography(seed, most_px))
     darker = np.clip(0.7 * picture + 20, 0, 255).astype(np.uint8)
-    for image, reference in ((picture, TRUTH), (darker, np.clip(0.7 * TRUTH + 20, 0, 255).astype(np.uint8))):
+    for image, reference in (
+        (picture, TRUTH),
+        (darker, np.clip(0.7 * TRUTH + 20, 0, 255).astype(np.uint8)),
+    ):
         undone, is_covered = register(image, reference)
         assert is_covered.mean() > 0.9
         assert psnr(np.rint(undone).astype(np.uint8)[MIDDLE], reference[MIDDLE]) > 38
@@ -42,17 +51,27 @@ def test_a_homography_is_undone(seed, most_px):
 
 @pytest.mark.parametrize(
     "image",
-    [TRUTH, TRUTH[:, ::-1].copy(), np.zeros_like(TRUTH), cv2.GaussianBlur(TRUTH, (0, 0), 2), np.roll(TRUTH, 90, axis=1)],
+    [
+        TRUTH,
+        TRUTH[:, ::-1].copy(),
+        np.zeros_like(TRUTH),
+        cv2.GaussianBlur(TRUTH, (0, 0), 2),
+        np.roll(TRUTH, 90, axis=1),
+    ],
     ids=["equal", "mirrored", "black", "blurred", "far"],
 )
 def test_what_is_no_small_motion_gains_nothing(image):
-    """The truth, a mirrored, black or blurred picture, and one that is 90 of 320 px away, have their PSNR."""
+    """The truth, a mirrored, black or blurred picture, and one that is 90 of 320 px away, have
+    their PSNR.
+    """
     assert psnr_registered(image, TRUTH) == pytest.approx(psnr(image, TRUTH), abs=0.02)
 
 
 @pytest.mark.parametrize("sigma", [5, 15])
 def test_noise_gains_by_interpolation_alone(sigma):
-    """A noisy picture half a pixel off reads at most 1.5 dB higher than one in its place: the noise is interpolated."""
+    """A noisy picture half a pixel off reads at most 1.5 dB higher than one in its place: the noise
+    is interpolated.
+    """
     noise = np.random.default_rng(1).normal(0, sigma, TRUTH.shape)
     in_place, beside = (
         np.clip(picture + noise, 0, 255).astype(np.uint8)

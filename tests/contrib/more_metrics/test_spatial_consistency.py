@@ -1,4 +1,6 @@
-"""SGC of a path: regions of a true path agree on the camera's motion; a bent region does not, and the map says which."""
+"""SGC of a path: regions of a true path agree on the camera's motion; a bent region does not, and
+the map says which.
+"""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -37,14 +39,19 @@ def path(span=0.9, poses=VIEWS):
 
 @lru_cache
 def room(index):
-    """Slanted surfaces from one of 17 poses in a row, with exact depth: many layers in every part of the picture."""
+    """Slanted surfaces from one of 17 poses in a row, with exact depth: many layers in every part
+    of the picture.
+    """
     camera = path(poses=4 * VIEWS - 3)[index]
     return camera, *see(camera)
 
 
 def see(camera, surfaces=ROOM):
     """Picture and depth of surfaces z = a x + b y + c, each between two x."""
-    depth, image = np.full((camera.height, camera.width), np.inf), np.zeros((camera.height, camera.width, 3), np.uint8)
+    depth, image = (
+        np.full((camera.height, camera.width), np.inf),
+        np.zeros((camera.height, camera.width, 3), np.uint8),
+    )
     for seed, (plane, (left, right)) in enumerate(surfaces):
         its_depth = plane_depth(camera, np.array(plane))
         x = camera.centre[0] + its_depth * camera.rays()[..., 0]
@@ -55,7 +62,9 @@ def see(camera, surfaces=ROOM):
 
 
 def bent(quarters=0):
-    """Every fourth of these poses; the lower right quarter of the picture takes steps shorter by so many quarters."""
+    """Every fourth of these poses; the lower right quarter of the picture takes steps shorter by so
+    many quarters.
+    """
     poses = []
     for index in range(VIEWS):
         camera, image, depth = room(4 * index)
@@ -71,7 +80,9 @@ def exact():
 
 
 def composed(board_camera):
-    """The path past a wall and a board before it, the board as another camera sees it: two depths, hence two layers."""
+    """The path past a wall and a board before it, the board as another camera sees it: two depths,
+    hence two layers.
+    """
     poses = []
     for index, camera in enumerate(path()):
         image, depth = see(camera, [WALL])
@@ -87,7 +98,9 @@ def scores(poses, names=METRICS):
 
 
 def test_regions_of_a_true_path_agree():
-    """The room rendered exactly: within 0.05 degrees and 0.02 of a step, a twentieth of a pixel on the map."""
+    """The room rendered exactly: within 0.05 degrees and 0.02 of a step, a twentieth of a pixel on
+    the map.
+    """
     assert 0 < exact().rotation < 0.05**2
     assert 0 < exact().translation < 0.02**2
     assert exact().measured_share >= 0.5
@@ -96,7 +109,9 @@ def test_regions_of_a_true_path_agree():
 
 @pytest.mark.slow
 def test_a_board_that_moves_unlike_the_wall_has_the_variance_of_two_numbers():
-    """Steps 1.2 times the wall's differ by 0.1 of a step from the mean; turns by 0.5 degrees a pose by 0.25."""
+    """Steps 1.2 times the wall's differ by 0.1 of a step from the mean; turns by 0.5 degrees a pose
+    by 0.25.
+    """
 
     def turned(index, camera):
         turn = np.eye(4)
@@ -113,7 +128,9 @@ def test_a_board_that_moves_unlike_the_wall_has_the_variance_of_two_numbers():
 
 
 def test_a_bent_quarter_raises_it_by_how_much_it_bends_and_is_on_the_map():
-    """A quarter that takes steps shorter by a quarter, and by half: more each time, and and by how many pixels on the map."""
+    """A quarter that takes steps shorter by a quarter, and by half: more each time, and and by how
+    many pixels on the map.
+    """
     straight, little, much = exact(), spatial_consistency(bent(1)), spatial_consistency(bent(2))
 
     assert 3 * straight.rotation < little.rotation < much.rotation
@@ -125,9 +142,14 @@ def test_a_bent_quarter_raises_it_by_how_much_it_bends_and_is_on_the_map():
 
 @pytest.mark.slow
 def test_what_is_wrong_everywhere_alike_does_not_bend():
-    """Cameras noted with steps too long and turned agree as before; pictures that come late bend less than a bend."""
+    """Cameras noted with steps too long and turned agree as before; pictures that come late bend
+    less than a bend.
+    """
     true = [room(4 * index) for index in range(VIEWS)]
-    late = [(camera, room(4 * index + 1)[1], depth) for index, (camera, _, depth) in enumerate(true[:-1])]
+    late = [
+        (camera, room(4 * index + 1)[1], depth)
+        for index, (camera, _, depth) in enumerate(true[:-1])
+    ]
     wrong = []
     for camera, image, depth in true:
         world_to_camera = camera.world_to_camera.copy()
@@ -155,16 +177,22 @@ def test_what_moves_has_no_vote_where_its_depth_is_unknown():
 
 @pytest.mark.slow
 def test_what_cannot_be_compared_has_a_reason_and_no_value():
-    """Never 0: a frozen picture, no texture, one layer of depth, no parallax, no depth, one pose."""
+    """Never 0: a frozen picture, no texture, one layer of depth, no parallax, no depth, one
+    pose.
+    """
     camera, image, depth = bent()[0]
     wall = [(each, *see(each, [WALL])) for each in path()]
     cases = {
         "are static": [(each, image, its_depth) for each, _, its_depth in bent()],
-        "is matched": [(each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()],
+        "is matched": [
+            (each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()
+        ],
         "1 of 1 layers": [(each, its_image, its_depth) for each, its_image, its_depth in wall],
         "parallax": [(camera, image, depth)] * VIEWS,
         "no depth": [(each, its_image, None) for each, its_image, _ in bent()],
-        "no known depth": [(each, its_image, np.zeros_like(depth)) for each, its_image, _ in bent()],
+        "no known depth": [
+            (each, its_image, np.zeros_like(depth)) for each, its_image, _ in bent()
+        ],
         "at least 2": bent()[:1],
     }
     for word, poses in cases.items():
@@ -176,15 +204,23 @@ def test_what_cannot_be_compared_has_a_reason_and_no_value():
 
 @pytest.mark.slow
 def test_it_is_measured_only_where_it_is_named():
-    """A path's score has its values, one for each step too, where a protocol names it, and no word of it otherwise."""
+    """A path's score has its values, one for each step too, where a protocol names it, and no word
+    of it otherwise.
+    """
     unasked, asked = scores(bent(), ()), scores(bent(), METRICS[:1])
     whole = {name: value for name, pose, value in asked.values if pose is None}
 
     assert not set(NAMES) & {*unasked.not_computed, *(name for name, _, _ in unasked.values)}
-    assert [whole[name] for name in NAMES] == [exact().rotation, exact().translation, exact().measured_share]
-    assert [(pose, value) for name, pose, value in asked.values if name == "SGC_rotation" and pose is not None] == [
-        (pose, rotation) for pose, rotation, _ in exact().steps
+    assert [whole[name] for name in NAMES] == [
+        exact().rotation,
+        exact().translation,
+        exact().measured_share,
     ]
+    assert [
+        (pose, value)
+        for name, pose, value in asked.values
+        if name == "SGC_rotation" and pose is not None
+    ] == [(pose, rotation) for pose, rotation, _ in exact().steps]
 
 
 @pytest.mark.slow
@@ -199,7 +235,10 @@ def test_cameras_that_only_turn_have_no_translation():
         poses.append((turned, image, depth))
     found = scores(poses)
 
-    assert next(value for name, pose, value in found.values if name == "SGC_rotation" and pose is None) < 0.1**2
+    assert (
+        next(value for name, pose, value in found.values if name == "SGC_rotation" and pose is None)
+        < 0.1**2
+    )
     assert "only turn" in found.not_computed["SGC_translation"]
 
 

@@ -45,28 +45,43 @@ def videos(tmp_path_factory):
 @pytest.fixture
 def studied(videos, tmp_path, monkeypatch):
     monkeypatch.setitem(registry.METRICS.shipped, DEAF.name, DEAF)
-    options = StudyOptions(("PSNR", "SDV", "Flicker", "reprojection", DEAF.name), ("noise", "frozen", "switch"), **SMALL)
+    options = StudyOptions(
+        ("PSNR", "SDV", "Flicker", "reprojection", DEAF.name),
+        ("noise", "frozen", "switch"),
+        **SMALL,
+    )
     return run_study(tmp_path / "study", [videos], options), options, tmp_path / "study"
 
 
 def test_verdicts_that_are_known(studied):
-    """PSNR falls with noise in every clip; what ignores its input is blind to everything; a camera at rest has no path."""
+    """PSNR falls with noise in every clip; what ignores its input is blind to everything; a camera
+    at rest has no path.
+    """
     study, _, folder = studied
     answers = study["answers"]
     table = pd.read_csv(folder / "values.csv")
 
-    assert (answers["noise"]["PSNR"]["correlation"], answers["noise"]["PSNR"]["verdict"]) == (1.0, "sees")
+    assert (answers["noise"]["PSNR"]["correlation"], answers["noise"]["PSNR"]["verdict"]) == (
+        1.0,
+        "sees",
+    )
     assert {answers[ladder][DEAF.name]["verdict"] for ladder in ("noise", "frozen")} == {"blind"}
-    assert {answers[ladder][DEAF.name]["least_strength"] for ladder in ("noise", "frozen")} == {None}
+    assert {answers[ladder][DEAF.name]["least_strength"] for ladder in ("noise", "frozen")} == {
+        None
+    }
     assert answers["switch"] == {}
     assert study["not_computed"]["switch"]["PSNR"] == "the camera is static"
     assert study["not_computed"]["noise"]["reprojection"] == "the camera is static"
-    assert table[(table.metric == "SDV") & (table.ladder == "noise")].groupby("take").size().to_list() == [6, 6]
+    assert table[(table.metric == "SDV") & (table.ladder == "noise")].groupby(
+        "take"
+    ).size().to_list() == [6, 6]
 
 
 @pytest.mark.slow
 def test_an_interrupted_study_goes_on(studied, videos, tmp_path, monkeypatch):
-    """What was measured before an interrupt is not measured again, and the outcome is that of a study in one go."""
+    """What was measured before an interrupt is not measured again, and the outcome is that of a
+    study in one go.
+    """
     study, options, _ = studied
     ran: list[str] = []
     run = run_tasks.run_batch
@@ -89,14 +104,20 @@ def test_an_interrupted_study_goes_on(studied, videos, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_what_is_measured_stays(studied, videos, monkeypatch):
-    """A second call runs no job; one more metric is measured beside those that are there, which stay as they are."""
+    """A second call runs no job; one more metric is measured beside those that are there, which
+    stay as they are.
+    """
     study, options, folder = studied
     measured: list[tuple[str, ...]] = []
-    monkeypatch.setattr(measure, "_at", lambda *rest, at=measure._at: (measured.append(rest[-1]), at(*rest))[1])
+    monkeypatch.setattr(
+        measure, "_at", lambda *rest, at=measure._at: (measured.append(rest[-1]), at(*rest))[1]
+    )
 
     assert run_study(folder, [videos], options) == study
     assert not measured
-    more = run_study(folder, [videos], StudyOptions((*options.metrics, "L1"), options.ladders, **SMALL))
+    more = run_study(
+        folder, [videos], StudyOptions((*options.metrics, "L1"), options.ladders, **SMALL)
+    )
     assert set(measured) == {("L1",)}
     assert more["answers"]["noise"]["PSNR"] == study["answers"]["noise"]["PSNR"]
     assert more["answers"]["noise"]["L1"]["correlation"] == 1.0
@@ -108,7 +129,9 @@ def test_what_is_measured_stays(studied, videos, monkeypatch):
 
 @pytest.mark.slow
 def test_the_verb_writes_tables_and_a_figure(videos, tmp_path, capsys):
-    """`ggvs-eval metric-study` prints what each metric is blind to, and writes values, tables and the figure."""
+    """`ggvs-eval metric-study` prints what each metric is blind to, and writes values, tables and
+    the figure.
+    """
     out = tmp_path / "out"
     chosen = ["--metrics", "L1", "SDT", "--ladders", "colour", "--frames", "6", "--size", "48"]
     run_command(["metric-study", str(out), "--capture", str(videos), *chosen, "--jobs", "1"])
@@ -116,17 +139,26 @@ def test_the_verb_writes_tables_and_a_figure(videos, tmp_path, capsys):
 
     assert "| `L1` | colour | – | – |" in printed
     assert printed.splitlines()[-1] == str(out / "study.png")
-    assert {"values.csv", "study.json", "study.md", "study.png"} <= {file.name for file in out.iterdir()}
-    assert "Least strength distinguished from the original" in (out / "study.md").read_text(encoding="utf-8")
+    assert {"values.csv", "study.json", "study.md", "study.png"} <= {
+        file.name for file in out.iterdir()
+    }
+    assert "Least strength distinguished from the original" in (out / "study.md").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_pictures_in_a_folder_are_one_view(tmp_path):
-    """Frames without calibration, one folder: a study of one view, which no metric of several views can have."""
+    """Frames without calibration, one folder: a study of one view, which no metric of several views
+    can have.
+    """
     for index, frame in enumerate(clean_video(6)):
         write_image(tmp_path / "frames" / f"{index:03d}.png", frame)
-    study = run_study(tmp_path / "study", [tmp_path / "frames"], StudyOptions(("L1", "SDV"), ("blur",), **SMALL))
+    study = run_study(
+        tmp_path / "study", [tmp_path / "frames"], StudyOptions(("L1", "SDV"), ("blur",), **SMALL)
+    )
 
-    assert study["answers"]["blur"]["L1"]["verdict"] == "unclear"  # of one clip nobody knows the spread
+    # of one clip nobody knows the spread
+    assert study["answers"]["blur"]["L1"]["verdict"] == "unclear"
     assert study["not_computed"]["blur"]["SDV"] == "1 view; needs 2"
 
 
@@ -146,7 +178,9 @@ def test_what_is_refused(videos, tmp_path):
 
 
 def test_an_interval_holds_what_clips_say():
-    """Rank correlations are averaged over clips and their interval spans what these say; ties and constants count as 0."""
+    """Rank correlations are averaged over clips and their interval spans what these say; ties and
+    constants count as 0.
+    """
     strengths = [0, 1, 2, 3]
     rising, falling, flat = [1.0, 2, 3, 4], [4.0, 3, 2, 1], [5.0, 5, 5, 5]
     divided = answer(strengths, {"a": [rising], "b": [falling], "c": [rising], "d": [falling]})
@@ -160,7 +194,9 @@ def test_an_interval_holds_what_clips_say():
 
 
 def test_the_least_strength_exceeds_the_spread_over_clips():
-    """Two clips that differ by 2 tell a step of 1 from none only once it has added up to more than their spread, sqrt(2)."""
+    """Two clips that differ by 2 tell a step of 1 from none only once it has added up to more than
+    their spread, sqrt(2).
+    """
     rows = {"a": [[0.0, 1, 2, 3]], "b": [[2.0, 3, 4, 5]]}
 
     assert answer([0, 1, 2, 3], rows).least_strength == 2

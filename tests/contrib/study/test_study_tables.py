@@ -1,4 +1,6 @@
-"""Tables and figure of a metric study: verdicts of several captures, and what is said where there is nothing."""
+"""Tables and figure of a metric study: verdicts of several captures, and what is said where there
+is nothing.
+"""
 
 import pytest
 
@@ -17,7 +19,14 @@ from ggvs_eval.run_folder import write_json
 
 
 def answered(correlation, verdict, low=None, least=None):
-    return {"correlation": correlation, "verdict": verdict, "low": low, "high": correlation, "least_strength": least, "clips": 4}
+    return {
+        "correlation": correlation,
+        "verdict": verdict,
+        "low": low,
+        "high": correlation,
+        "least_strength": least,
+        "clips": 4,
+    }
 
 
 def study_of(blur, switch, metrics=("PSNR", "mute")):
@@ -28,7 +37,10 @@ def study_of(blur, switch, metrics=("PSNR", "mute")):
             "blur": {"unit": "px", "strengths": [0.5, 1], "describe": "Gaussian blur"},
             "switch": {"unit": "switches", "strengths": [1, 3], "describe": "exchanged sources"},
         },
-        "metrics": {name: {"higher_is_better": True, "unit": "", "group": "Image quality", "kind": "frame"} for name in metrics},
+        "metrics": {
+            name: {"higher_is_better": True, "unit": "", "group": "Image quality", "kind": "frame"}
+            for name in metrics
+        },
         "answers": {"blur": {"PSNR": blur}, "switch": {"PSNR": switch}},
         "not_computed": {"blur": {"mute": "no weights"}, "switch": {"mute": "no weights"}},
     }
@@ -42,7 +54,11 @@ def test_captures_agree_or_a_verdict_depends_on_them():
     """What both captures say stands in its column, what one alone says in the last."""
     table = verdict_table([study_of(SEES, BLIND), study_of(SEES, SEES)])
 
-    assert table.splitlines()[0] == "| metric | worse with strength | blind to | better with strength | depends on the capture |"
+    assert (
+        table.splitlines()[0]
+        == "| metric | worse with strength | blind to | better with strength | depends on the "
+        "capture |"
+    )
     assert table.splitlines()[2:] == ["| `PSNR` | blur | – | – | switch |"]
     assert by_ladder_table([study_of(SEES, BLIND)]).splitlines()[2:] == [
         "| blur | 1 of 1 | – | – | – |",
@@ -51,24 +67,37 @@ def test_captures_agree_or_a_verdict_depends_on_them():
 
 
 def test_a_wide_interval_is_shown():
-    """An interval of a point is left out, a wide one stands behind the correlation; no least strength is a dash."""
+    """An interval of a point is left out, a wide one stands behind the correlation; no least
+    strength is a dash.
+    """
     study = study_of(SEES, BLIND)
 
-    assert correlation_table(study).splitlines()[-1] == "| `PSNR` | 1 | 0.25 (\N{MINUS SIGN}0.5 to 0.25) |"
+    assert (
+        correlation_table(study).splitlines()[-1]
+        == "| `PSNR` | 1 | 0.25 (\N{MINUS SIGN}0.5 to 0.25) |"
+    )
     assert sensitivity_table(study).splitlines()[0] == "| metric | blur (px) | switch (switches) |"
     assert sensitivity_table(study).splitlines()[-1] == "| `PSNR` | 0.5 | – |"
-    assert ladder_table(study).splitlines()[-1] == "| switch | 1, 3 | switches | exchanged sources |"
+    assert (
+        ladder_table(study).splitlines()[-1] == "| switch | 1, 3 | switches | exchanged sources |"
+    )
     assert absence_list(study) == "- `mute` not computed: no weights"
 
 
 def test_two_studies_stand_side_by_side(tmp_path):
-    """A field for each study in one figure, wider by one field; no study and no answer are refused."""
+    """A field for each study in one figure, wider by one field; no study and no answer are
+    refused.
+    """
     for name in ("first", "second"):
         write_json(tmp_path / name / "study.json", study_of(SEES, BLIND))
     empty = study_of(SEES, BLIND) | {"answers": {"blur": {}, "switch": {}}}
     write_json(tmp_path / "empty" / "study.json", empty)
     one = read_image(draw_study({"room": tmp_path / "first"}, tmp_path / "one.png"))
-    two = read_image(draw_study({"room": tmp_path / "first", "garden": tmp_path / "second"}, tmp_path / "two.png"))
+    two = read_image(
+        draw_study(
+            {"room": tmp_path / "first", "garden": tmp_path / "second"}, tmp_path / "two.png"
+        )
+    )
 
     assert two.shape[0] == one.shape[0]
     assert two.shape[1] > one.shape[1]

@@ -1,4 +1,6 @@
-"""Training of the baselines: samples that read back, sources cut to what is seen, real steps, weights that render."""
+"""Training of the baselines: samples that read back, sources cut to what is seen, real steps,
+weights that render.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,11 @@ from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES
 from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
 from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
-from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan
+from ggvs_eval.contrib.training.samples.training_data import (
+    RoomPlan,
+    choose_views,
+    domain_validation_plan,
+)
 from ggvs_eval.contrib.training.train_one import LEAST_CROP_PX, BaselineTask, baseline_task
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.depth_options import DepthRunOptions
@@ -26,12 +32,15 @@ from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
 WIDTH, HEIGHT = 100, 75
-PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
+PLAN = RoomPlan(
+    rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT
+)
 VALIDATION = domain_validation_plan(PLAIN, views=3, targets=1, size=(WIDTH, HEIGHT))
 
 # One is slow; that the others are trained in the same way is proved.
 DEAREST_LAST = [
-    pytest.param(what, marks=pytest.mark.slow if what == "enerf" else pytest.mark.proof) for what in TRAINED_BASELINES
+    pytest.param(what, marks=pytest.mark.slow if what == "enerf" else pytest.mark.proof)
+    for what in TRAINED_BASELINES
 ]
 ONE_CROP = {
     "samples": torch.tensor([0]),
@@ -51,7 +60,9 @@ def alone():
 @pytest.fixture(scope="module")
 def plane_capture(tmp_path_factory):
     """Five cameras before a slanted plane."""
-    return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1).resized(WIDTH, HEIGHT, "area")
+    return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1).resized(
+        WIDTH, HEIGHT, "area"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -66,18 +77,26 @@ def cache(tmp_path_factory, plane_capture):
 
 def small_task(what, cache):
     baseline = TRAINED_BASELINES[what]
-    samples = (SamplePool(cache, InstantKind(baseline.takes_depth), [plan]) for plan in (PLAN, VALIDATION))
-    return BaselineTask(*samples, baseline, replace(RECIPES[what]("compact", 0), crop_width=64, crop_height=48))
+    samples = (
+        SamplePool(cache, InstantKind(baseline.takes_depth), [plan]) for plan in (PLAN, VALIDATION)
+    )
+    return BaselineTask(
+        *samples, baseline, replace(RECIPES[what]("compact", 0), crop_width=64, crop_height=48)
+    )
 
 
 @pytest.mark.slow
 def test_samples_are_those_of_the_blending_network_and_read_back(cache, plane_capture):
-    """Target, sources and depth are what the blending network's samples are made of; without depth, only pictures are there."""
+    """Target, sources and depth are what the blending network's samples are made of; without depth,
+    only pictures are there.
+    """
     maker = SampleMaker(plane_capture, DepthRunOptions(PLAN.matcher).options())
     target, sources = choose_views(plane_capture, PLAN, 1000, 1)
     made = maker.instant(target, sources)
     read = SamplePool(cache, InstantKind(), [PLAN]).read(1)
-    assert [view.camera.name for view in read.instant.sources] == [source.name for source in sources]
+    assert [view.camera.name for view in read.instant.sources] == [
+        source.name for source in sources
+    ]
     np.testing.assert_array_equal(read.instant.target.world_to_camera, target.world_to_camera)
     np.testing.assert_array_equal(read.truth, plane_capture.frame(target.name, 0))
     for view, expected in zip(read.instant.sources, made.sources, strict=True):
@@ -98,7 +117,9 @@ def test_a_damaged_sample_is_refused(tmp_path):
 
 
 def test_focused_sources_show_all_that_the_window_can(cache):
-    """Every point that the window sees lies in the cut where it lay in the whole image, and shows the same colour."""
+    """Every point that the window sees lies in the cut where it lay in the whole image, and shows
+    the same colour.
+    """
     whole = SamplePool(cache, InstantKind(), [PLAN]).read(0).cropped(30, 20, 48, 32)
     cut = whole.focused(margin_px=4, multiple=8)
     target = whole.instant.target
@@ -122,7 +143,9 @@ def test_focused_sources_show_all_that_the_window_can(cache):
 
 @pytest.mark.parametrize("what", DEAREST_LAST)
 def test_a_batch_is_learned(what, cache):
-    """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
+    """Some steps on one batch lower its loss; the same step draws the same crops, another one
+    others.
+    """
     task = small_task(what, cache)
     batch, again, other = task.batch(3), task.batch(3), task.batch(4)
     assert all(torch.equal(batch[name], again[name]) for name in batch)
@@ -143,7 +166,9 @@ def test_a_batch_is_learned(what, cache):
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["enerf", "fwd"])
 def test_trained_weights_learn_under_the_statistics_that_they_are_used_with(what, cache):
-    """Those of whole views are settled at the end of a first training, and stay where trained weights go on."""
+    """Those of whole views are settled at the end of a first training, and stay where trained
+    weights go on.
+    """
     first, further = small_task(what, cache), replace(small_task(what, cache), has_statistics=True)
     network = first.network()
     fresh = statistics_of(network)
@@ -161,12 +186,21 @@ def statistics_of(network):
 
 @pytest.mark.parametrize("what", DEAREST_LAST)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
-    """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
+    """The file says its configuration and renders by the method's label; its picture is the one
+    that was validated.
+    """
     task = small_task(what, cache)
-    options = TrainingOptions(steps=1, device="cpu", precision="float32", validate_every=1, workers=0)
+    options = TrainingOptions(
+        steps=1, device="cpu", precision="float32", validate_every=1, workers=0
+    )
     weights = train(task, tmp_path, options)
     assert configuration_of(weights, ("compact",), what) == "compact"
-    figures = dict(zip(*(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()), strict=True))
+    figures = dict(
+        zip(
+            *(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()),
+            strict=True,
+        )
+    )
     sample = task.validation.read(0)
     label = "gps-gaussian+given-depth" if what == "gps-gaussian" else what
     rendered = find_method(label, NetworkOptions({what: weights})).make().step(sample.instant).image
@@ -180,7 +214,9 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
 
 
 class Walked(SamplePool):
-    """The views of the first source, but for their cameras: each stands behind the one before, as in a corridor."""
+    """The views of the first source, but for their cameras: each stands behind the one before, as
+    in a corridor.
+    """
 
     def read(self, index):
         sample = super().read(index)
@@ -201,7 +237,9 @@ class Blind(SamplePool):
         sample = super().read(index)
         if index >= self.sources[0].count:
             return sample
-        sources = tuple(replace(source, depth=np.zeros_like(source.depth)) for source in sample.instant.sources)
+        sources = tuple(
+            replace(source, depth=np.zeros_like(source.depth)) for source in sample.instant.sources
+        )
         return replace(sample, instant=replace(sample.instant, sources=sources))
 
 
@@ -213,7 +251,9 @@ def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
     network, kind = task.network(), InstantKind()
     loss, _ = replace(task, training=Blind(cache, kind, [PLAN, PLAN])).loss(network, ONE_CROP)
     loss.backward()
-    assert any(parameter.grad is not None and parameter.grad.any() for parameter in network.parameters())
+    assert any(
+        parameter.grad is not None and parameter.grad.any() for parameter in network.parameters()
+    )
     if what == "gps-gaussian":  # FWD's network fills what its points do not reach
         with refused(TrainingError, "got none", "depth"):
             replace(task, training=Blind(cache, kind, [PLAN])).loss(network, ONE_CROP)
@@ -221,7 +261,9 @@ def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
 
 @pytest.mark.slow
 def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
-    """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card says what is left out."""
+    """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card
+    says what is left out.
+    """
     task = small_task("gps-gaussian", cache)
     walked = [Walked(cache, InstantKind(), [plan]) for plan in (PLAN, VALIDATION)]
     both = [Walked(cache, InstantKind(), [plan, plan]) for plan in (PLAN, VALIDATION)]
@@ -229,11 +271,16 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     network = task.network()
     expected, _ = task.loss(network, ONE_CROP)
     for passed_over in range(len(walked[0]) + 1):
-        loss, figures = with_walks.loss(network, ONE_CROP | {"samples": torch.tensor([passed_over])})
+        loss, figures = with_walks.loss(
+            network, ONE_CROP | {"samples": torch.tensor([passed_over])}
+        )
         assert torch.equal(loss, expected)
         assert figures["passed_over"] == len(walked[0]) - passed_over
     assert with_walks.validate(network) == task.validate(network)
-    assert "without 1 of them, as the method cannot render such views: GPS-Gaussian needs" in with_walks.evaluated_on
+    assert (
+        "without 1 of them, as the method cannot render such views: GPS-Gaussian needs"
+        in with_walks.evaluated_on
+    )
     assert "without" not in task.evaluated_on
     alone = replace(task, training=walked[0], validation=walked[1])
     with refused(TrainingError, "wanted training views", "got none", "wanted a stereo pair"):
@@ -248,7 +295,12 @@ def test_crops_are_as_large_as_is_asked(tmp_path):
     usual = baseline_task("fwd", tmp_path, rooms).recipe
     assert (usual.crop_width, usual.crop_height) == (192, 160)
     assert baseline_task("fwd", tmp_path, rooms, crop=(384, 288)).step_pixels == 384 * 288
-    for size, named in (((488, 288), "488 x 288"), ((50, 40), "50 x 40"), ((24, 40), "24 x 40"), ((-8, 0), "--crop")):
+    for size, named in (
+        ((488, 288), "488 x 288"),
+        ((50, 40), "50 x 40"),
+        ((24, 40), "24 x 40"),
+        ((-8, 0), "--crop"),
+    ):
         with refused(TrainingError, named):
             baseline_task("fwd", tmp_path, rooms, crop=size)
 
@@ -256,7 +308,9 @@ def test_crops_are_as_large_as_is_asked(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_the_least_crop_teaches_every_baseline(what, cache):
-    """Of the smallest sides that are allowed, which no coarse level divides without rest but the coarsest."""
+    """Of the smallest sides that are allowed, which no coarse level divides without rest but the
+    coarsest.
+    """
     task = small_task(what, cache)
     recipe = replace(task.recipe, crop_width=40, crop_height=LEAST_CROP_PX)
     loss, _ = replace(task, recipe=recipe).loss(task.network(), ONE_CROP)
@@ -271,7 +325,9 @@ def test_a_configuration_that_is_not_taught_is_refused(cache):
 
 
 def test_retrained_methods_are_labelled(tmp_path):
-    """Tables tell what we trained from what its authors did; without weights the reason stands there."""
+    """Tables tell what we trained from what its authors did; without weights the reason stands
+    there.
+    """
     for label in ("fwd", "ibrnet", "enerf", "mvsplat", "gps-gaussian+given-depth"):
         method = label.partition("+")[0]
         assert METHODS[label].title.endswith("(retrained, compact)")

@@ -1,4 +1,6 @@
-"""Augmented crops: what is drawn from the same seed is the same, and each change does what it says and nothing else."""
+"""Augmented crops: what is drawn from the same seed is the same, and each change does what it says
+and nothing else.
+"""
 
 import numpy as np
 
@@ -34,7 +36,9 @@ def test_without_strength_nothing_changes():
 def test_a_common_gain_is_that_of_the_truth():
     """Sources and truth become brighter by the same factor per channel; geometry stays."""
     views, truth = crop()
-    found, brighter = changed(Augmentation(gain=0.1, view_gain_share=0, blur_share=0, shift_share=0))
+    found, brighter = changed(
+        Augmentation(gain=0.1, view_gain_share=0, blur_share=0, shift_share=0)
+    )
     inside = (views.warps > 0.05) & (views.warps < 0.6)
     factors = np.median((brighter / truth).reshape(-1, 3), axis=0)
     expected = views.warps * factors
@@ -47,7 +51,9 @@ def test_a_common_gain_is_that_of_the_truth():
 def test_gains_of_single_views_do_not_touch_the_truth():
     """Two views by two factors, one factor for all channels of a view."""
     views, truth = crop()
-    found, same = changed(Augmentation(gain=0, view_gain=0.1, view_gain_share=1, blur_share=0, shift_share=0))
+    found, same = changed(
+        Augmentation(gain=0, view_gain=0.1, view_gain_share=1, blur_share=0, shift_share=0)
+    )
     np.testing.assert_array_equal(same, truth)
     usable = (views.warps > 0.05) & (views.warps < 0.6)
     factors = [found.warps[k][usable[k]] / views.warps[k][usable[k]] for k in range(2)]
@@ -72,5 +78,8 @@ def test_one_view_is_blurred():
     touched = [not np.array_equal(found.splats[k], views.splats[k]) for k in range(2)]
     assert sum(touched) == 1
     k = touched.index(True)
-    assert np.abs(np.diff(found.splats[k], axis=1)).sum() < np.abs(np.diff(views.splats[k], axis=1)).sum()
+    assert (
+        np.abs(np.diff(found.splats[k], axis=1)).sum()
+        < np.abs(np.diff(views.splats[k], axis=1)).sum()
+    )
     np.testing.assert_array_equal(found.alphas, views.alphas)

@@ -1,4 +1,6 @@
-"""Samples of captures: ScanNet's rule, measured depth, rigs, what is kept on disk, and what must not be learned from."""
+"""Samples of captures: ScanNet's rule, measured depth, rigs, what is kept on disk, and what must
+not be learned from.
+"""
 
 import json
 from dataclasses import replace
@@ -32,7 +34,9 @@ RIG_PLAN = CapturePlan(targets=5, views=2, instants=2, width=160, height=90)
 
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory):
-    """A camera carried before a slanted plane, with a depth sensor, as ScanNet exports it, with gaps in its numbers."""
+    """A camera carried before a slanted plane, with a depth sensor, as ScanNet exports it, with
+    gaps in its numbers.
+    """
     folder = tmp_path_factory.mktemp("rgbd") / "scene0000_00"
     for name in ("color", "depth", "pose", "intrinsic"):
         (folder / name).mkdir(parents=True)
@@ -57,7 +61,9 @@ def rig(tmp_path_factory):
 
 
 def test_sources_obey_the_rule(sequence):
-    """Always K different frames within 12 of the target by number, none within 2 of it, nearest first; missing numbers count."""
+    """Always K different frames within 12 of the target by number, none within 2 of it, nearest
+    first; missing numbers count.
+    """
     for number in range(40):
         target, sources = draw_views(sequence, PLAN, "scene", number)
         apart = [abs(int(source.name) - int(target.name)) for source in sources]
@@ -70,7 +76,9 @@ def test_sources_obey_the_rule(sequence):
 
 
 def test_every_frame_has_its_turn(sequence):
-    """No target comes twice before all have been one; each that has K sources is one; more samples change none."""
+    """No target comes twice before all have been one; each that has K sources is one; more samples
+    change none.
+    """
     possible = possible_targets(sequence, PLAN)
     drawn = [draw_views(sequence, PLAN, "scene", number)[0].name for number in range(len(possible))]
     assert sorted(drawn) == sorted(camera.name for camera in possible)
@@ -83,7 +91,9 @@ def test_every_frame_has_its_turn(sequence):
 
 @pytest.mark.slow
 def test_all_that_is_allowed_is_drawn(sequence):
-    """Over many samples every distance that the rule allows occurs, before and after, about equally often: not the nearest."""
+    """Over many samples every distance that the rule allows occurs, before and after, about equally
+    often: not the nearest.
+    """
     drawn = [draw_views(sequence, PLAN, "scene", number) for number in range(200)]
     apart = [int(source.name) - int(target.name) for target, sources in drawn for source in sources]
     counts = {frames: apart.count(frames) for frames in {*apart}}
@@ -92,14 +102,18 @@ def test_all_that_is_allowed_is_drawn(sequence):
 
 
 def test_frames_that_look_elsewhere_are_not_drawn(sequence):
-    """Where every second frame looks backwards, sources are of the others; else those that see most."""
+    """Where every second frame looks backwards, sources are of the others; else those that see
+    most.
+    """
     backwards = np.diag([-1.0, 1.0, -1.0, 1.0])
 
     def turned(looks_away):
         return replace(
             sequence,
             cameras=tuple(
-                replace(camera, world_to_camera=backwards @ camera.world_to_camera) if looks_away(int(camera.name)) else camera
+                replace(camera, world_to_camera=backwards @ camera.world_to_camera)
+                if looks_away(int(camera.name))
+                else camera
                 for camera in sequence.cameras
             ),
         )
@@ -116,7 +130,9 @@ def test_frames_that_look_elsewhere_are_not_drawn(sequence):
 
 
 def test_overlap_is_the_share_of_the_view():
-    """All of its own view, none of one that looks backwards, half of one whose image is the left half."""
+    """All of its own view, none of one that looks backwards, half of one whose image is the left
+    half.
+    """
     camera = look_from(0.0, 0.0, "1")
     assert overlap(camera, camera) == 1
     assert overlap(camera, replace(camera, world_to_camera=np.diag([-1.0, 1.0, -1.0, 1.0]))) == 0
@@ -135,13 +151,17 @@ def test_a_sample_has_the_sensor_s_depth(sequence):
     np.testing.assert_array_equal(sample.truth, sequence.frame(target.name, 0))
     inside = (slice(15, -15), slice(15, -15))
     assert psnr(sample.geometric[inside], sample.truth[inside]) > 25
-    stereo = BlendKind().make(SampleMaker(sequence, DepthRunOptions(sensor="no").options()), target, sources)
+    stereo = BlendKind().make(
+        SampleMaker(sequence, DepthRunOptions(sensor="no").options()), target, sources
+    )
     assert not np.array_equal(stereo.views.depths, sample.views.depths)
 
 
 @pytest.mark.slow
 def test_samples_are_kept_and_read(sequence, rig, tmp_path):
-    """One file per capture and target; what is there stays; equal plans give equal bytes of pixels, whatever the workers."""
+    """One file per capture and target; what is there stays; equal plans give equal bytes of pixels,
+    whatever the workers.
+    """
     samples = SamplePool(tmp_path, BlendKind(), [CaptureSource(sequence, PLAN)])
     assert len(samples) == 3
     samples.prepare(1)
@@ -153,7 +173,9 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     assert len(sample.views.sources) == 3
     assert sample.truth.shape == (HEIGHT, WIDTH, 3)
     target, sources = draw_views(sequence, PLAN, samples.sources[0].name, 1)
-    direct = BlendKind().make(SampleMaker(sequence, DepthRunOptions(PLAN.matcher).options()), target, sources)
+    direct = BlendKind().make(
+        SampleMaker(sequence, DepthRunOptions(PLAN.matcher).options()), target, sources
+    )
     np.testing.assert_array_equal(sample.views.fused_depth, direct.views.fused_depth)
     np.testing.assert_array_equal(sample.geometric, direct.geometric)
     assert str(tmp_path) not in repr(samples)
@@ -161,16 +183,25 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
 
 
 def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
-    """Even numbers show one instant, odd ones another; targets are not among their sources; sizes cover the plan's."""
+    """Even numbers show one instant, odd ones another; targets are not among their sources; sizes
+    cover the plan's.
+    """
     source = CaptureSource(rig, RIG_PLAN)
     samples, capture = SamplePool(tmp_path, BlendKind(), [source]), source.capture
     assert source.groups() == [[0, 2, 4], [1, 3]]
     assert capture.cameras[0].size == (160, 120)
     for numbers, frame in (([0, 2], 0), ([1], 2)):
-        make_samples(source, samples.kind, capture, {number: samples.path(source, number) for number in numbers})
+        make_samples(
+            source,
+            samples.kind,
+            capture,
+            {number: samples.path(source, number) for number in numbers},
+        )
         for number in numbers:
             sample = samples.read(number)
-            np.testing.assert_array_equal(sample.truth, capture.frame(sample.views.target.name, frame))
+            np.testing.assert_array_equal(
+                sample.truth, capture.frame(sample.views.target.name, frame)
+            )
             assert sample.views.target.name not in [source.name for source in sample.views.sources]
             assert len(sample.views.sources) == 2
     with refused(TrainingError, "got none"):
@@ -181,12 +212,17 @@ def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
     ("changes", "words"),
     [
         ({"width": 400}, "wanted images of at least 400 x 150, got 200 x 150 of"),
-        ({"views": 40}, "wanted a target with 40 other cameras numbered 3..12 from it, got 31 cameras"),
+        (
+            {"views": 40},
+            "wanted a target with 40 other cameras numbered 3..12 from it, got 31 cameras",
+        ),
         ({"instants": 2}, "wanted 2 instants, the capture has 1 frames"),
     ],
 )
 def test_captures_that_do_not_fit_are_refused(sequence, changes, words):
-    """Too small, too few frames within the rule, too few instants: one line that names the capture."""
+    """Too small, too few frames within the rule, too few instants: one line that names the
+    capture.
+    """
     with pytest.raises(TrainingError, match=words) as caught:
         CaptureSource(sequence, replace(PLAN, **changes))
     assert str(sequence.path) in str(caught.value)
@@ -210,7 +246,9 @@ def test_each_capture_once(sequence, rig):
 
 
 def test_the_demo_capture_is_never_learned_from(rig, tmp_path):
-    """A capture whose note gives the seed of a test room, or none, is refused; training and validation rooms are not."""
+    """A capture whose note gives the seed of a test room, or none, is refused; training and
+    validation rooms are not.
+    """
     noted = replace(rig, path=tmp_path)
     for options, words in (({"seed": 0}, "seed 0"), ({"seed": 100}, "seed 100"), ({}, "seed")):
         (tmp_path / "demo.json").write_text(json.dumps({"options": options}))

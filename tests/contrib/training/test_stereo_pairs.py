@@ -1,4 +1,6 @@
-"""Stereo pairs of the procedural room: exact disparity, honest visibility, one surface in both views, a wide range of pairs."""
+"""Stereo pairs of the procedural room: exact disparity, honest visibility, one surface in both
+views, a wide range of pairs.
+"""
 
 from collections.abc import Iterator
 from functools import cache
@@ -33,7 +35,9 @@ WHITE, GREY, BLACK = (Material(plain((tone,) * 3)) for tone in (0.9, 0.5, 0.02))
 
 @pytest.fixture(scope="module", autouse=True)
 def _little_light() -> Iterator[None]:
-    """An eighth of the rays finds the light that bounces: the same code in less time. Nobody else may see its scenes."""
+    """An eighth of the rays finds the light that bounces: the same code in less time. Nobody else
+    may see its scenes.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "AMBIENT_DIRECTIONS", 8)
         stereo_pairs._kept_scene.cache_clear()
@@ -48,8 +52,12 @@ def clean_sample(seed: int) -> StereoSample:
 
 def warped_right(pair: StereoSample, shift: float = 0.0) -> np.ndarray:
     """The right image at the matches of the left pixels."""
-    rows, columns = np.mgrid[: pair.disparity.shape[0], : pair.disparity.shape[1]].astype(np.float32)
-    return cv2.remap(pair.right.astype(np.float32), columns - pair.disparity - shift, rows, cv2.INTER_CUBIC)
+    rows, columns = np.mgrid[: pair.disparity.shape[0], : pair.disparity.shape[1]].astype(
+        np.float32
+    )
+    return cv2.remap(
+        pair.right.astype(np.float32), columns - pair.disparity - shift, rows, cv2.INTER_CUBIC
+    )
 
 
 def facing_rig(baseline_m: float = 0.2) -> StereoRig:
@@ -66,12 +74,16 @@ def wall(y: float, half_m: float, material: Material = WHITE, shift: float = 0.0
 def evenly_lit(*surfaces: Surface) -> Instant:
     """Surfaces under light of 1 from everywhere."""
     geometry = Geometry(surfaces)
-    return Instant(geometry, None, np.ones_like(geometry.vertices), np.zeros((0, 3), np.float32), [])
+    return Instant(
+        geometry, None, np.ones_like(geometry.vertices), np.zeros((0, 3), np.float32), []
+    )
 
 
 @pytest.mark.proof
 def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
-    """A sample is a function of its arguments alone: also where its scene is laid out and lit anew."""
+    """A sample is a function of its arguments alone: also where its scene is laid out and
+    lit anew.
+    """
     threads = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
@@ -86,18 +98,24 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
 
 
 def test_neighbouring_seeds_take_turns_among_scenes():
-    """Seeds of a batch show several scenes, and each scene serves as many pairs as are meant before others are lit."""
+    """Seeds of a batch show several scenes, and each scene serves as many pairs as are meant before
+    others are lit.
+    """
     per_scene, at_a_time = stereo_pairs.PAIRS_PER_SCENE, stereo_pairs.SCENES_AT_A_TIME
     numbers = [stereo_pairs.scene_number(seed) for seed in range(2 * per_scene * at_a_time)]
     assert numbers[: at_a_time + 1] == [*range(at_a_time), 0]
-    assert {number: numbers.count(number) for number in numbers} == dict.fromkeys(range(2 * at_a_time), per_scene)
+    assert {number: numbers.count(number) for number in numbers} == dict.fromkeys(
+        range(2 * at_a_time), per_scene
+    )
     assert stereo_pairs.FIRST_SEED > 100 * FIRST_TRAINING_SEED  # nobody else's rooms
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS[:2])
 def test_a_rig_sees_what_cameras_see(seed):
-    """Points of the left picture lie on one row and a disparity apart by `Camera`; rays of the right eye meet what is visible."""
+    """Points of the left picture lie on one row and a disparity apart by `Camera`; rays of the
+    right eye meet what is visible.
+    """
     scene = stereo_pairs.scene_of(seed)
     rig, depth = place_rig(scene, np.random.default_rng(seed), 96, 64)
     x, y = rig.positions()
@@ -111,7 +129,9 @@ def test_a_rig_sees_what_cameras_see(seed):
     np.testing.assert_allclose(projected[0], np.stack([x.ravel(), y.ravel()], -1), atol=1e-3)
     np.testing.assert_allclose(projected[1][:, 1], y.ravel(), atol=1e-3)
     disparity = rig.focal_px * rig.baseline_m / depth
-    np.testing.assert_allclose(projected[0][:, 0] - projected[1][:, 0], disparity.ravel(), atol=1e-3)
+    np.testing.assert_allclose(
+        projected[0][:, 0] - projected[1][:, 0], disparity.ravel(), atol=1e-3
+    )
     visible = find_visible(scene.static, rig, depth)
     match = x - disparity
     hits = scene.static.cast(rig.right_eye.astype(np.float32), rig.rays(match, y))
@@ -120,14 +140,17 @@ def test_a_rig_sees_what_cameras_see(seed):
     share = met.reshape(depth.shape) / depth
     np.testing.assert_array_equal(visible & (match < 0.5), False)
     inside = match >= 0.5
-    # What lies within a hundredth of the depth before a point does not hide it; leaves have two sides a millimetre apart.
+    # What lies within a hundredth of the depth before a point does not hide it; leaves have two
+    # sides a millimetre apart.
     assert (share[visible] > 0.985).all()
     assert (share[inside & ~visible] < 0.995).all()
     assert 0.3 < visible.mean() < 1
 
 
 def test_a_plane_has_the_disparity_of_its_equation():
-    """The depth of the slanted plane y = 2 + 0.3 x + 0.2 z is 2 / (1 - 0.3 u + 0.2 v) at (u, v) on the plane of depth 1."""
+    """The depth of the slanted plane y = 2 + 0.3 x + 0.2 z is 2 / (1 - 0.3 u + 0.2 v) at (u, v) on
+    the plane of depth 1.
+    """
     rig = facing_rig()
     corner = np.array([-3.0, 2 + 0.3 * -3 + 0.2 * -3, -3])
     depth = rig.depth(Geometry([panel(corner, (6, 1.8, 0), (0, 1.2, 6), WHITE)]))
@@ -137,8 +160,11 @@ def test_a_plane_has_the_disparity_of_its_equation():
 
 
 def test_a_card_hides_as_many_columns_as_the_disparities_differ():
-    """Left of a card the wall is hidden from the right eye over d_card - d_wall columns, and the left margin over d_wall."""
-    rig = facing_rig(baseline_m=0.18)  # wall at 10 m: 1.8 px; card at 1 m: 18 px, on columns 50 to 69
+    """Left of a card the wall is hidden from the right eye over d_card - d_wall columns, and the
+    left margin over d_wall.
+    """
+    # wall at 10 m: 1.8 px; card at 1 m: 18 px, on columns 50 to 69
+    rig = facing_rig(baseline_m=0.18)
     geometry = Geometry([wall(10.0, 9.0), wall(1.0, 0.1)])
     depth = rig.depth(geometry)
     visible = find_visible(geometry, rig, depth)
@@ -149,7 +175,9 @@ def test_a_card_hides_as_many_columns_as_the_disparities_differ():
 
 @pytest.mark.slow
 def test_the_right_image_is_the_left_image_at_the_disparity():
-    """Where the right eye sees a point it shows the left eye's colour, better than a quarter of a pixel aside on either side."""
+    """Where the right eye sees a point it shows the left eye's colour, better than a quarter of a
+    pixel aside on either side.
+    """
     for pair in map(clean_sample, SEEDS):
         visible = pair.visible.astype(np.uint8)
         error = np.abs(warped_right(pair) - pair.left).mean(2)
@@ -162,7 +190,9 @@ def test_the_right_image_is_the_left_image_at_the_disparity():
 
 
 def test_edges_are_smoothed_by_their_coverage():
-    """The light that a black card takes from a white wall sums up to its area, and its edge has tones between."""
+    """The light that a black card takes from a white wall sums up to its area, and its edge has
+    tones between.
+    """
     rig = facing_rig()
     scene = evenly_lit(wall(2.0, 3.0), wall(1.0, 0.1637, BLACK, shift=0.021))
     light = render(scene, rig, rig.eye, *rig.positions())[..., 1]
@@ -172,9 +202,14 @@ def test_edges_are_smoothed_by_their_coverage():
 
 
 def test_rows_are_off_and_columns_are_not():
-    """A row error of the right picture moves level edges by itself and leaves upright edges in their columns."""
+    """A row error of the right picture moves level edges by itself and leaves upright edges in
+    their columns.
+    """
     rig = facing_rig()
-    scene = evenly_lit(panel((-3, 2, -3), (3, 0, 0), (0, 0, 3), BLACK), panel((0, 2, -3), (3, 0, 0), (0, 0, 3), WHITE))
+    scene = evenly_lit(
+        panel((-3, 2, -3), (3, 0, 0), (0, 0, 3), BLACK),
+        panel((0, 2, -3), (3, 0, 0), (0, 0, 3), WHITE),
+    )
     x, y = rig.positions()
     straight, off = (render(scene, rig, rig.eye, x, y + error) for error in (0.0, 5.0))
     np.testing.assert_array_equal(np.flatnonzero(straight[60, :, 1] > 0.4), np.arange(60, 120))
@@ -183,7 +218,9 @@ def test_rows_are_off_and_columns_are_not():
 
 
 def test_the_two_cameras_differ():
-    """Exposure, noise and blur are each camera's own; without sensors the pictures of one view are equal."""
+    """Exposure, noise and blur are each camera's own; without sensors the pictures of one view are
+    equal.
+    """
     flat = np.full((64, 96, 3), 0.3, np.float32)
     ratios, noises = [], []
     for seed in range(40):
@@ -216,7 +253,9 @@ def test_paint_is_changed_but_for_what_shines():
 
 @pytest.mark.slow
 def test_pairs_are_of_many_kinds():
-    """Small and large disparities, shallow and deep views, much and little that is hidden; all of the promised types."""
+    """Small and large disparities, shallow and deep views, much and little that is hidden; all of
+    the promised types.
+    """
     pairs = [clean_sample(seed) for seed in SEEDS]
     for pair in pairs:
         assert pair.left.shape == pair.right.shape == (HEIGHT, WIDTH, 3)

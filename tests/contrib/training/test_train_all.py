@@ -1,4 +1,6 @@
-"""All networks from one command: the same views for all, commands of their own, one that fails, going on."""
+"""All networks from one command: the same views for all, commands of their own, one that fails,
+going on.
+"""
 
 import fcntl
 from dataclasses import replace
@@ -12,7 +14,14 @@ from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples import training_data
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.training_data import sample_pools
-from ggvs_eval.contrib.training.train_all import NETWORKS, Training, default_jobs, planned_trainings, run_trainings, train_all
+from ggvs_eval.contrib.training.train_all import (
+    NETWORKS,
+    Training,
+    default_jobs,
+    planned_trainings,
+    run_trainings,
+    train_all,
+)
 from ggvs_eval.contrib.training.train_one import CACHE, baseline_task, planned_task
 from ggvs_eval.contrib.worlds.domains import DOMAINS
 from ggvs_eval.errors import TrainingError
@@ -21,10 +30,18 @@ from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
 REQUEST = TrainingOptions(
-    steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
+    steps=2,
+    views=2,
+    size="small",
+    rooms=1,
+    targets=1,
+    domains=("plain", "narrow"),
+    device="cpu",
+    workers=0,
 )
 KINDS = BlendKind(), InstantKind(), InstantKind(depth=False)
-SIZES = {"plain": (272, 204), "narrow": (260, 195)}  # hardly larger than ENeRF's crops, whole views of which take long
+# hardly larger than ENeRF's crops, whole views of which take long
+SIZES = {"plain": (272, 204), "narrow": (260, 195)}
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +52,31 @@ def plane_capture(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory, plane_capture):
-    """Its samples in place of rooms of two domains, of two sizes, as blend, fwd and enerf take them."""
+    """Its samples in place of rooms of two domains, of two sizes, as blend, fwd and enerf take
+    them.
+    """
     folder = tmp_path_factory.mktemp("all") / CACHE
     for kind in KINDS:
         scale = 1.25 if isinstance(kind, BlendKind) else 1.0  # whose crops are larger
         for pool in sample_pools(folder, REQUEST, kind):
-            fill(pool, lambda plan, scale=scale: plane_capture.resized(*(round(scale * px) for px in SIZES[plan.domain]), "area"))
+            fill(
+                pool,
+                lambda plan, scale=scale: plane_capture.resized(
+                    *(round(scale * px) for px in SIZES[plan.domain]), "area"
+                ),
+            )
     return folder
 
 
 def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monkeypatch):
-    """Rooms of all domains and captures, for the blending network and for baselines, with depth or without: equal plans."""
-    monkeypatch.setattr(training_data, "open_capture", lambda path: replace(plane_capture.resized(480, 360, "area"), path=path))
+    """Rooms of all domains and captures, for the blending network and for baselines, with depth or
+    without: equal plans.
+    """
+    monkeypatch.setattr(
+        training_data,
+        "open_capture",
+        lambda path: replace(plane_capture.resized(480, 360, "area"), path=path),
+    )
     data = TrainingOptions(captures=(tmp_path / "rig",))
     pools = [sample_pools(tmp_path, data, kind) for kind in KINDS]
     for training, validation in pools:
@@ -54,9 +84,14 @@ def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monke
         assert validation.sources == pools[0][1].sources
         assert len(training.sources) == len(DOMAINS) + 1
         assert [plan.domain for plan in validation.sources] == list(DOMAINS)
-        assert f"{training_data.CAPTURE_TARGETS} views of the captures {plane_capture.scene}" in training.data
+        assert (
+            f"{training_data.CAPTURE_TARGETS} views of the captures {plane_capture.scene}"
+            in training.data
+        )
     with pytest.raises(TrainingError, match="wanted each once"):
-        sample_pools(tmp_path, TrainingOptions(captures=(tmp_path / "rig", tmp_path / "rig")), InstantKind())
+        sample_pools(
+            tmp_path, TrainingOptions(captures=(tmp_path / "rig", tmp_path / "rig")), InstantKind()
+        )
     with refused(TrainingError, "rooms or captures", "neither", "--rooms"):
         sample_pools(tmp_path, TrainingOptions(rooms=0), InstantKind())
 
@@ -65,30 +100,43 @@ def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monke
 @pytest.mark.parametrize("what", ["blend", pytest.param("enerf", marks=pytest.mark.proof)])
 def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
     """A training that starts from weights has a third of the rate."""
-    fresh, tuned = (planned_task(what, cache, replace(REQUEST, start_from=path)) for path in (None, tmp_path / "shipped"))
+    fresh, tuned = (
+        planned_task(what, cache, replace(REQUEST, start_from=path))
+        for path in (None, tmp_path / "shipped")
+    )
     assert tuned.schedule.rate(400, 2000) == pytest.approx(0.3 * fresh.schedule.rate(400, 2000))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_crops_lie_within_samples_of_any_size(what, cache):
-    """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""
+    """Each sample's own size decides where windows may be: first and last place fit, whatever was
+    drawn.
+    """
     task = baseline_task(what, cache, REQUEST)
     sizes = set()
     for index in range(len(task.training)):
         sample = task.training.read(index)
         sizes.add(sample.instant.target.size)
-        last = np.subtract(sample.instant.target.size, (task.recipe.crop_width, task.recipe.crop_height))
+        last = np.subtract(
+            sample.instant.target.size, (task.recipe.crop_width, task.recipe.crop_height)
+        )
         for place, corner in (((0.0, 0.0), (0, 0)), ((1 - 2**-53,) * 2, last)):
             crop = task._crop(sample, place)
             assert crop.truth.shape == (task.recipe.crop_height, task.recipe.crop_width, 3)
-            np.testing.assert_array_equal(sample.instant.target.K[:2, 2] - crop.instant.target.K[:2, 2], corner)
+            np.testing.assert_array_equal(
+                sample.instant.target.K[:2, 2] - crop.instant.target.K[:2, 2], corner
+            )
     assert sizes == set(SIZES.values())
 
 
 def test_each_network_has_its_command(tmp_path):
-    """Eight networks in folders of their own, blend with each guidance; all get the same steps, rooms and captures."""
-    request = replace(REQUEST, captures=(Path("walk"), Path("rig")), hold_back=True, compile_network=True)
+    """Eight networks in folders of their own, blend with each guidance; all get the same steps,
+    rooms and captures.
+    """
+    request = replace(
+        REQUEST, captures=(Path("walk"), Path("rig")), hold_back=True, compile_network=True
+    )
     trainings = planned_trainings(tmp_path, request)
     assert [each.name for each in trainings] == [
         "blend",
@@ -100,7 +148,14 @@ def test_each_network_has_its_command(tmp_path):
     for training in trainings:
         words = " ".join(training.arguments)
         assert training.arguments[2] == str(tmp_path / training.name)
-        for part in ("--steps 2", "--domains plain narrow", "--captures walk rig", "--hold-back", "--device cpu", "--rooms 1"):
+        for part in (
+            "--steps 2",
+            "--domains plain narrow",
+            "--captures walk rig",
+            "--hold-back",
+            "--device cpu",
+            "--rooms 1",
+        ):
             assert part in words
         assert ("--guidance" in words) == training.name.startswith("blend")
         assert ("--configuration compact" in words) != training.name.startswith("blend")
@@ -108,13 +163,17 @@ def test_each_network_has_its_command(tmp_path):
     assert "walk" in request.card_words("fwd")
     assert replace(request, captures=(tmp_path / "walk",)).card_words("fwd").count("walk") == 1
     assert "--crop" not in request.card_words("fwd")
-    assert " ".join(replace(request, crop=(384, 288)).card_words("fwd")).count("--crop 384 288") == 1
+    assert (
+        " ".join(replace(request, crop=(384, 288)).card_words("fwd")).count("--crop 384 288") == 1
+    )
 
 
 def test_how_many_run_at_once(monkeypatch):
     """All on a GPU; on a CPU one per two cores, but one at least."""
     for cores, jobs in ((1, 1), (2, 1), (5, 2), (64, 7)):
-        monkeypatch.setattr("ggvs_eval.contrib.training.train_all.usable_cpus", lambda cores=cores: cores)
+        monkeypatch.setattr(
+            "ggvs_eval.contrib.training.train_all.usable_cpus", lambda cores=cores: cores
+        )
         assert default_jobs("cpu", 7) == jobs
         assert default_jobs("cuda", 7) == 7
 
@@ -125,7 +184,9 @@ def test_steps_are_read_from_the_log(tmp_path):
     assert training.steps_done() == 0
     (tmp_path / "log.csv").write_text("step,loss\n")
     assert training.steps_done() == 0
-    (tmp_path / "log.csv").write_text("step,loss\n" + "".join(f"{step},0.5\n" for step in range(2000)) + "2000,0.")
+    (tmp_path / "log.csv").write_text(
+        "step,loss\n" + "".join(f"{step},0.5\n" for step in range(2000)) + "2000,0."
+    )
     assert training.steps_done() == 2001
 
 
@@ -139,7 +200,9 @@ def test_what_is_for_one_network_is_refused(tmp_path):
 
 
 def test_a_folder_is_trained_into_by_one_process_only(tmp_path):
-    """While another process holds the log of a training, it is not started again, and the line says where it runs."""
+    """While another process holds the log of a training, it is not started again, and the line says
+    where it runs.
+    """
     training = Training("fwd", tmp_path / "fwd", ("train", "fwd"), 9)
     training.folder.mkdir()
     with training.log.open("ab") as log:
@@ -150,7 +213,9 @@ def test_a_folder_is_trained_into_by_one_process_only(tmp_path):
 
 @pytest.mark.proof
 def test_networks_are_trained_side_by_side(cache, capsys):
-    """One that cannot go on stops no other and leaves a line; a second call finishes it; weights, cards and curves stand."""
+    """One that cannot go on stops no other and leaves a line; a second call finishes it; weights,
+    cards and curves stand.
+    """
     out = cache.parent
     networks = [("blend", "none"), ("enerf", "registered")]
     (out / "enerf").mkdir()

@@ -9,7 +9,15 @@ from helpers.stereo_scenes import write_capture
 
 @pytest.fixture(scope="session")
 def playback(tmp_path_factory):
-    """Five cameras before a plane that comes nearer, three instants, with depth of every camera at every instant."""
+    """Five cameras before a plane that comes nearer, three instants, with depth of every camera at
+    every instant.
+    """
     folder = tmp_path_factory.mktemp("plane")
     options = PlayOptions(k=2)
-    return playback_of_capture(write_capture(folder), options, DepthRunOptions("sgbm").options(), folder / "cache", anywhere=True)
+    return playback_of_capture(
+        write_capture(folder),
+        options,
+        DepthRunOptions("sgbm").options(),
+        folder / "cache",
+        anywhere=True,
+    )

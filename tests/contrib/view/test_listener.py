@@ -1,4 +1,6 @@
-"""Who is let in to the viewer: whoever has the printed address, on its own page; and where it cannot listen at all."""
+"""Who is let in to the viewer: whoever has the printed address, on its own page; and where it
+cannot listen at all.
+"""
 
 import socket
 import time
@@ -33,19 +35,25 @@ def served():
 def status_of(url: str, **headers: str) -> int:
     """The status of the answer to a GET."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=20) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(url, headers=headers), timeout=20
+        ) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code
 
 
 def talk(url: str, messages=(), origin: str | None = None, **headers: str) -> int:
-    """Open a websocket as viser's page does, send some messages, and count what comes within a second."""
+    """Open a websocket as viser's page does, send some messages, and count what comes within a
+    second.
+    """
     import msgspec
     from websockets.sync.client import connect
 
     protocol = [f"viser-v{viser.__version__}"]
-    with connect(url, subprotocols=protocol, origin=origin, additional_headers=headers, max_size=None) as client:
+    with connect(
+        url, subprotocols=protocol, origin=origin, additional_headers=headers, max_size=None
+    ) as client:
         for message in messages:
             client.send(msgspec.msgpack.encode(message.as_serializable_dict()))
             time.sleep(0.2)
@@ -65,7 +73,9 @@ def without_token(address: str) -> str:
 
 
 def test_the_printed_address_opens_the_page_and_its_socket(served):
-    """By http and by websocket, as our own page and as a program that sends no origin; the page may not be framed."""
+    """By http and by websocket, as our own page and as a program that sends no origin; the page may
+    not be framed.
+    """
     address = served.listener.address
     with urllib.request.urlopen(address, timeout=20) as answer:
         assert b"<title>Viser" in answer.read()
@@ -103,7 +113,9 @@ def test_nobody_comes_in_without_the_token(path, served):
     ids=str,
 )
 def test_other_pages_and_other_names_are_refused(headers, served):
-    """Even with the token: a page of another site, another port of this machine, and a name that was pointed here."""
+    """Even with the token: a page of another site, another port of this machine, and a name that
+    was pointed here.
+    """
     assert status_of(served.listener.address, **headers) == 403
     if "Host" in headers:
         return
@@ -118,8 +130,14 @@ def test_a_refused_page_presses_no_button(served):
     from viser._messages import GuiUpdateMessage, ViewerCameraMessage
     from websockets.exceptions import InvalidStatus
 
-    camera = ViewerCameraMessage((1, 0, 0, 0), (0, 0, 0), 1.0, 0.1, 9.0, 48, 64, (0, 0, 1), (0, -1, 0))  # a window's first one
-    url, press = served.listener.address.replace("http", "ws"), GuiUpdateMessage(served.button._impl.uuid, {"value": True})
+    # a window's first one
+    camera = ViewerCameraMessage(
+        (1, 0, 0, 0), (0, 0, 0), 1.0, 0.1, 9.0, 48, 64, (0, 0, 1), (0, -1, 0)
+    )
+    url, press = (
+        served.listener.address.replace("http", "ws"),
+        GuiUpdateMessage(served.button._impl.uuid, {"value": True}),
+    )
     with pytest.raises(InvalidStatus):
         talk(url, [camera, press], origin=f"https://{EVIL}")
     assert served.clicks == []

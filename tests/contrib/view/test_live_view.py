@@ -1,4 +1,6 @@
-"""What a viewer is shown: sizes, layers, two methods beside each other, the history of a method, and what it recorded."""
+"""What a viewer is shown: sizes, layers, two methods beside each other, the history of a method,
+and what it recorded.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,9 @@ from helpers.stereo_scenes import HEIGHT, PLANE, WIDTH, plane_depth, write_captu
 STEP = 0.2  # by which the plane comes nearer from instant to instant
 ALL = 10**9  # pixels: as captured
 METHOD = "ours-geometric"
-PROTOCOL = Protocol("plane", "plane", Views(("cam00",), "test"), Frames(0, 3), Synthesis(2), Measurement(("PSNR",)))
+PROTOCOL = Protocol(
+    "plane", "plane", Views(("cam00",), "test"), Frames(0, 3), Synthesis(2), Measurement(("PSNR",))
+)
 
 
 @pytest.fixture
@@ -52,9 +56,15 @@ def test_every_camera_has_depth_at_every_instant(playback, stock):
 
 
 def test_live_depth_is_found_at_the_size_that_is_shown(tmp_path):
-    """A view without stored depth: the picture of OnlineSynthesizer without depth, and depth of a camera when it is asked for."""
-    matcher = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options("cpu:0")
-    playback = playback_of_capture(write_capture(tmp_path, 1), PlayOptions(k=2), matcher, tmp_path / "cache", anywhere=True)
+    """A view without stored depth: the picture of OnlineSynthesizer without depth, and depth of a
+    camera when it is asked for.
+    """
+    matcher = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options(
+        "cpu:0"
+    )
+    playback = playback_of_capture(
+        write_capture(tmp_path, 1), PlayOptions(k=2), matcher, tmp_path / "cache", anywhere=True
+    )
     small = FrameStock(playback, WIDTH * HEIGHT // 4)
     request = request_of(playback, methods=("distance-based",))
     picture = LiveView(small, 1.0, WIDTH * HEIGHT // 4, "cpu:0").picture(request)
@@ -62,7 +72,9 @@ def test_live_depth_is_found_at_the_size_that_is_shown(tmp_path):
     synthesizer = OnlineSynthesizer(small.cameras, 2, method="distance-based", depth=playback.live)
     target = fitted(request.pose, WIDTH * HEIGHT // 4)
     images = {name: small.image(name, 0) for name in synthesizer.needed(target)}
-    np.testing.assert_array_equal(picture.image, quantise(synthesizer.step(images, None, target).image))
+    np.testing.assert_array_equal(
+        picture.image, quantise(synthesizer.step(images, None, target).image)
+    )
     found = small.read("cam00", 0)[1]
     assert found.depth.shape == (HEIGHT // 2, WIDTH // 2)
     assert (found.depth > 0).all()
@@ -70,7 +82,9 @@ def test_live_depth_is_found_at_the_size_that_is_shown(tmp_path):
 
 
 def test_small_frames_keep_shape_and_surfaces(playback, stock):
-    """Images shrink by the same factor on both sides; a depth that is shown is one that was there."""
+    """Images shrink by the same factor on both sides; a depth that is shown is one that was
+    there.
+    """
     small = FrameStock(playback, WIDTH * HEIGHT // 4)
     image, found = small.read("cam01", 0)
     assert image.shape == (HEIGHT // 2, WIDTH // 2, 3)
@@ -95,18 +109,25 @@ def test_a_picture_is_what_the_method_synthesises(playback, stock):
     names = [camera.name for camera in synthesizer.sources(request.pose)]
     images, depths = ({name: stock.read(name, 0)[part] for name in names} for part in (0, 1))
     assert picture.sources == tuple(names)
-    assert np.array_equal(picture.image, quantise(synthesizer.step(images, depths, request.pose).image))
+    assert np.array_equal(
+        picture.image, quantise(synthesizer.step(images, depths, request.pose).image)
+    )
     assert picture.seconds[METHOD]["step"] > 0
 
 
 def test_time_that_jumps_begins_anew(playback, stock):
-    """Instants 0, 1, 2 build up a history; 2 after 0 is like 2 alone. At a camera's place its picture is shown."""
+    """Instants 0, 1, 2 build up a history; 2 after 0 is like 2 alone. At a camera's place its
+    picture is shown.
+    """
     view, between = LiveView(stock, 1.0, ALL), moved(request_of(playback).pose, 0.1)
     view.picture(request_of(playback, pose=between))
     jumped = view.picture(request_of(playback, pose=between, instant=2)).image
     alone = LiveView(stock, 1.0, ALL).picture(request_of(playback, pose=between, instant=2)).image
     history = LiveView(stock, 1.0, ALL)
-    played = [history.picture(request_of(playback, pose=between, instant=instant)).image for instant in (0, 1, 2)][-1]
+    played = [
+        history.picture(request_of(playback, pose=between, instant=instant)).image
+        for instant in (0, 1, 2)
+    ][-1]
     assert np.array_equal(jumped, alone)
     assert not np.array_equal(played, alone)
 
@@ -118,7 +139,9 @@ def moved(camera, along_x: float):
 
 
 def test_outside_of_what_cameras_see_a_picture_fades(playback, stock):
-    """Within the rig it is shown as the method made it; far beside it is greyer, and said to be outside, with the share seen."""
+    """Within the rig it is shown as the method made it; far beside it is greyer, and said to be
+    outside, with the share seen.
+    """
     view, request = LiveView(stock, 1.0, ALL), request_of(playback)
     inside = view.picture(request)
     assert (inside.is_outside, inside.faded is inside.image) == (False, True)
@@ -127,7 +150,8 @@ def test_outside_of_what_cameras_see_a_picture_fades(playback, stock):
     assert outside.is_outside
     assert farther.seen_share < outside.seen_share < inside.seen_share
     grey = [
-        np.abs(each.faded.astype(int) - 128).mean() / np.abs(each.image.astype(int) - 128).mean() for each in (outside, farther)
+        np.abs(each.faded.astype(int) - 128).mean() / np.abs(each.image.astype(int) - 128).mean()
+        for each in (outside, farther)
     ]
     assert grey[1] < grey[0] < 1
 
@@ -145,14 +169,21 @@ def test_layers_have_the_size_of_the_picture(playback, stock, layer):
 def test_a_layer_that_a_method_lacks_is_an_error(playback, stock):
     """The message names what it has."""
     with refused(RenderError, "no-blending", "weights", "picture"):
-        LiveView(stock, 1.0, ALL).picture(request_of(playback, methods=("no-blending",), layer="weights"))
+        LiveView(stock, 1.0, ALL).picture(
+            request_of(playback, methods=("no-blending",), layer="weights")
+        )
 
 
 def test_two_methods_meet_at_the_divider(playback, stock):
     """Left of the line the first alone, right of it the second alone."""
-    both = LiveView(stock, 1.0, ALL).picture(request_of(playback, methods=(METHOD, "no-blending"), divider=0.25)).image
+    both = (
+        LiveView(stock, 1.0, ALL)
+        .picture(request_of(playback, methods=(METHOD, "no-blending"), divider=0.25))
+        .image
+    )
     first, second = (
-        LiveView(stock, 1.0, ALL).picture(request_of(playback, methods=(label,))).image for label in (METHOD, "no-blending")
+        LiveView(stock, 1.0, ALL).picture(request_of(playback, methods=(label,))).image
+        for label in (METHOD, "no-blending")
     )
     column = WIDTH // 4
     assert np.array_equal(both[:, : column - 1], first[:, : column - 1])
@@ -176,7 +207,11 @@ def recording_of(playback, folder) -> Recording:
     for instant in (0, 1, 2):
         pose = np.eye(4)
         pose[0, 3] = -0.05 * instant
-        recording.append(request_of(playback, instant=instant, pose=replace(view, name="view", world_to_camera=pose)))
+        recording.append(
+            request_of(
+                playback, instant=instant, pose=replace(view, name="view", world_to_camera=pose)
+            )
+        )
     recording.toggle()
     recording.append(request_of(playback))  # after the end
     return recording

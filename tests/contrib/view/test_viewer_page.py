@@ -1,4 +1,6 @@
-"""The viewer in a real browser: pictures come, the camera moves them, methods are chosen, errors are messages in the page."""
+"""The viewer in a real browser: pictures come, the camera moves them, methods are chosen, errors
+are messages in the page.
+"""
 
 import time
 from io import BytesIO
@@ -22,7 +24,13 @@ CANVAS = "canvas"
 def page(playback, started, tmp_path):
     """The viewer's page, opened, with its first picture."""
     pytest.importorskip("viser")
-    defaults = ViewDefaults("ours-geometric", ("ours-geometric", "no-blending"), 2, suggest_protocol(playback.capture), tmp_path)
+    defaults = ViewDefaults(
+        "ours-geometric",
+        ("ours-geometric", "no-blending"),
+        2,
+        suggest_protocol(playback.capture),
+        tmp_path,
+    )
     listener = Listener(port=0)
     with Viewer(playback, defaults, listener) as viewer:
         started.resize(DESKTOP)
@@ -33,7 +41,9 @@ def page(playback, started, tmp_path):
 
 @pytest.fixture(autouse=True)
 def _quiet(started):
-    """What viser's page says on the console - software rendering warns of itself - is no complaint of the tests that follow."""
+    """What viser's page says on the console - software rendering warns of itself - is no complaint
+    of the tests that follow.
+    """
     yield
     started.driven.get("about:blank")
     started.complaints()
@@ -51,17 +61,24 @@ def picture_of(browser) -> np.ndarray:
 
 
 def test_dragging_moves_the_picture(page):
-    """The pose that is synthesised follows the mouse, and what the browser shows is another picture then."""
+    """The pose that is synthesised follows the mouse, and what the browser shows is another picture
+    then.
+    """
     browser, viewer = page
     recording, before = session_of(viewer).recording, picture_of(browser)
     recording.toggle()
     browser.drag(CANVAS, (0.4, 0.5), (0.6, 0.5))
     end = time.monotonic() + 60
-    while len({tuple(request.pose.centre.round(3)) for request in recording.requests}) < 2 and time.monotonic() < end:
+    while (
+        len({tuple(request.pose.centre.round(3)) for request in recording.requests}) < 2
+        and time.monotonic() < end
+    ):
         time.sleep(0.1)
     centres = {tuple(request.pose.centre.round(3)) for request in recording.requests}
     assert len(centres) > 1
-    while (changed := float(np.abs(picture_of(browser) - before).mean())) < 4 and time.monotonic() < end:
+    while (
+        changed := float(np.abs(picture_of(browser) - before).mean())
+    ) < 4 and time.monotonic() < end:
         time.sleep(0.1)
     assert changed >= 4
 
@@ -74,7 +91,8 @@ def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
     session.client.camera.position = opened + np.array([4.0, 0.0, 0.0])
     session.change()
     browser.wait('document.body.innerText.includes("outside the cameras\' coverage")', seconds=60)
-    assert not browser.run("document.body.innerText.includes('of what its sources see')")  # one thing at a time
+    # one thing at a time
+    assert not browser.run("document.body.innerText.includes('of what its sources see')")
     browser.run("document.activeElement.blur()")
     browser.press("r")
     browser.wait('!document.body.innerText.includes("outside the cameras\' coverage")', seconds=60)
@@ -82,22 +100,31 @@ def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
 
 
 def test_a_camera_that_was_dragged_away_comes_back_within_reach(page):
-    """The picture is of the nearest place within reach, the window's camera follows once it rests; no control moves."""
+    """The picture is of the nearest place within reach, the window's camera follows once it rests;
+    no control moves.
+    """
     browser, viewer = page
     session = session_of(viewer)
     leash, opened = session._leash, session.client.camera.position.copy()
-    fields = "[...document.querySelectorAll('input.mantine-TextInput-input')].map(one => one.getBoundingClientRect().top)"
+    fields = (
+        "[...document.querySelectorAll('input.mantine-TextInput-input')].map(one => "
+        "one.getBoundingClientRect().top)"
+    )
     before = browser.run(fields)
     session.client.camera.position = opened + np.array([0.0, 0.0, -30.0])
     session.change()
     assert np.linalg.norm(session._pose().centre - opened) < 31 - leash.reach
     end = time.monotonic() + 60
     while (
-        np.abs(leash.keep(session.client.camera.position) - session.client.camera.position).max() > 1e-6
+        np.abs(leash.keep(session.client.camera.position) - session.client.camera.position).max()
+        > 1e-6
         and time.monotonic() < end
     ):
         time.sleep(0.1)
-    distances = [np.linalg.norm(camera.centre - session.client.camera.position) for camera in viewer._playback.capture.cameras]
+    distances = [
+        np.linalg.norm(camera.centre - session.client.camera.position)
+        for camera in viewer._playback.capture.cameras
+    ]
     assert min(distances) <= leash.reach * 1.001
     assert browser.run(fields) == before
 
@@ -108,14 +135,20 @@ def test_an_unknown_method_is_a_message_in_the_page(page):
     fields = browser.driven.find_elements("css selector", "input.mantine-TextInput-input")
     field = next(each for each in fields if each.is_displayed() and not each.get_attribute("value"))
     field.send_keys("no-blendin")
-    browser.wait("document.body.innerText.includes(\"unknown method 'no-blendin'; did you mean no-blending?\")", seconds=30)
+    browser.wait(
+        "document.body.innerText.includes(\"unknown method 'no-blendin'; did you mean "
+        'no-blending?")',
+        seconds=30,
+    )
     field.send_keys("g")
     browser.wait("document.body.innerText.includes('no-blending:')", seconds=30)
     assert not browser.run("document.body.innerText.includes('unknown method')")
 
 
 def test_a_fault_in_one_picture_does_not_end_the_others(page, monkeypatch):
-    """A bug of a method is a message in the page and on the terminal; the next picture comes as before."""
+    """A bug of a method is a message in the page and on the terminal; the next picture comes as
+    before.
+    """
     browser, viewer = page
     with monkeypatch.context() as broken:
         broken.setattr(LiveView, "picture", lambda *_: 1 / 0)

@@ -1,4 +1,6 @@
-"""Finish and check of found depth by Warp's kernels: those of torch's own operations, which are held against the CPU's."""
+"""Finish and check of found depth by Warp's kernels: those of torch's own operations, which are
+held against the CPU's.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,9 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import projections_between
 from helpers.stereo_scenes import look_from, plane_depth
 
-pytest.importorskip("warp", reason="depth by kernels wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+pytest.importorskip(
+    "warp", reason="depth by kernels wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'"
+)
 
 from ggvs_eval.contrib.warp import depth as kernels
 
@@ -20,7 +24,9 @@ CHECKED = DepthOptions()
 
 @pytest.fixture(scope="module")
 def scene():
-    """Noisy depth of a plane with a box before it by four cameras, with holes, wrong places and an empty row."""
+    """Noisy depth of a plane with a box before it by four cameras, with holes, wrong places and an
+    empty row.
+    """
     random = np.random.default_rng(0)
     places = ((0, 0.03, 0.01), (0.43, -0.05, 0.02), (-0.37, 0.07, 0.03), (0.11, 0.41, 0.02))
     cameras = [look_from(x, y, f"cam{index}", turn) for index, (x, y, turn) in enumerate(places)]
@@ -35,19 +41,26 @@ def scene():
         depths.append(depth)
         confidences.append(0.5 + 0.5 * np.sin(rows / 17 + index) * np.cos(columns / 23))
     depth, confidence, between = (
-        torch.from_numpy(np.asarray(each)).float() for each in (depths, confidences, projections_between(cameras))
+        torch.from_numpy(np.asarray(each)).float()
+        for each in (depths, confidences, projections_between(cameras))
     )
     return depth, confidence, between
 
 
 @pytest.mark.parametrize(
     ("options", "rules"),
-    [(CHECKED, {}), (replace(CHECKED, consistency=False), {}), (CHECKED, {"FILL_SUPPORT": 0, "MIN_SUPPORT": 2})],
+    [
+        (CHECKED, {}),
+        (replace(CHECKED, consistency=False), {}),
+        (CHECKED, {"FILL_SUPPORT": 0, "MIN_SUPPORT": 2}),
+    ],
     ids=["checked", "unchecked", "other rules"],
 )
 @pytest.mark.parametrize("views", [1, 2, 4])
 def test_maps_are_those_of_torch(scene, options, rules, views, monkeypatch):
-    """Depth and confidence of all but single pixels, where a comparison decides, within 1e-5; known in the same places."""
+    """Depth and confidence of all but single pixels, where a comparison decides, within 1e-5; known
+    in the same places.
+    """
     for name, value in rules.items():
         monkeypatch.setattr(consistency, name, value)
     depth, confidence, between = scene
@@ -60,7 +73,9 @@ def test_maps_are_those_of_torch(scene, options, rules, views, monkeypatch):
 
 def test_equal_maps_give_equal_bits(scene):
     """From run to run, though points meet in pixels in any order."""
-    for one, other in zip(*(kernels.finish_maps(*scene, options=CHECKED) for _ in range(2)), strict=True):
+    for one, other in zip(
+        *(kernels.finish_maps(*scene, options=CHECKED) for _ in range(2)), strict=True
+    ):
         assert torch.equal(one, other)
 
 

@@ -1,4 +1,6 @@
-"""The online step on a device, by Warp's CPU device: what the compiled path renders, stage by stage and as a whole."""
+"""The online step on a device, by Warp's CPU device: what the compiled path renders, stage by stage
+and as a whole.
+"""
 
 import re
 from dataclasses import replace
@@ -21,7 +23,11 @@ from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online import network_blender, online_methods
-from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, fallen_off, squared_tangents
+from ggvs_eval.pipelines.online.exposure_compensation import (
+    ExposureCompensation,
+    fallen_off,
+    squared_tangents,
+)
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender
 from ggvs_eval.pipelines.online.temporal_filters import filter_depth
@@ -31,7 +37,9 @@ from helpers.geometry_scenes import TAU, random_camera, random_depth, view_of
 from helpers.refusals import refused
 from helpers.scenes import texture
 
-pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+pytest.importorskip(
+    "warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'"
+)
 
 import warp as wp
 
@@ -53,9 +61,13 @@ def tensor(array: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array))
 
 
-def program_of(target: Camera, sources: list, before: Remembered | None = None, scale: int = 4, index: int = 0) -> Program:
+def program_of(
+    target: Camera, sources: list, before: Remembered | None = None, scale: int = 4, index: int = 0
+) -> Program:
     """The place of a step of these views, their numbers filled in and their pictures uploaded."""
-    program = Program(Sizes(tuple(source.camera.size for source in sources), target.size, scale), 64, CPU)
+    program = Program(
+        Sizes(tuple(source.camera.size for source in sources), target.size, scale), 64, CPU
+    )
     instant = Instant(index, target, tuple(sources), 1.0)
     rows = list(range(1, 1 + program.sizes.pairs))
     program.constants.fill(instant, sources, OPTIONS, target.far, before, rows)
@@ -65,47 +77,79 @@ def program_of(target: Camera, sources: list, before: Remembered | None = None, 
 
 @pytest.fixture(scope="module")
 def rig() -> SimpleNamespace:
-    """Three views of a rough surface from around a target, of two sizes, on the host and on the device, and their splats."""
+    """Three views of a rough surface from around a target, of two sizes, on the host and on the
+    device, and their splats.
+    """
     random = np.random.default_rng(4)
     target = random_camera(random, 45, 37, "target")
     cameras = [random_camera(random, *size, f"cam{number}") for number, size in enumerate(VIEWS)]
     sources = []
     for camera in cameras:
         depth = random_depth(random, camera)
-        sources.append(view_of(camera, depth, quantise(texture(camera.centre + depth[..., None] * camera.rays(), 0.0))))
+        sources.append(
+            view_of(
+                camera,
+                depth,
+                quantise(texture(camera.centre + depth[..., None] * camera.rays(), 0.0)),
+            )
+        )
     program = program_of(target, sources)
     masks = torch.from_numpy(random.random(program.depths.shape, dtype=np.float32))
-    host_masks = [masks[k, : camera.height, : camera.width].numpy() for k, camera in enumerate(cameras)]
-    here = [splat([source], target, near=0.2, extras=[mask]) for source, mask in zip(sources, host_masks, strict=True)]
+    host_masks = [
+        masks[k, : camera.height, : camera.width].numpy() for k, camera in enumerate(cameras)
+    ]
+    here = [
+        splat([source], target, near=0.2, extras=[mask])
+        for source, mask in zip(sources, host_masks, strict=True)
+    ]
     images, depths = program.states[0].images, program.depths
     there = device_splat.splat_views(images, depths, masks, program.constants, program.tables, ROOM)
     return SimpleNamespace(
-        target=target, sources=sources, program=program, images=images, depths=depths, masks=masks, splats=here, there=there
+        target=target,
+        sources=sources,
+        program=program,
+        images=images,
+        depths=depths,
+        masks=masks,
+        splats=here,
+        there=there,
     )
 
 
 @pytest.mark.parametrize(("width", "height"), [(40, 32), (37, 29), (5, 3)])
 @pytest.mark.parametrize("channels", ["largest", "mean"])
 def test_masks_are_those_of_the_compiled_path(width, height, channels):
-    """Eq. 1 to a millionth, whether cells are whole pixels or not; Eq. 2 from equal masks and Eqs. 11-12 bit for bit."""
+    """Eq. 1 to a millionth, whether cells are whole pixels or not; Eq. 2 from equal masks and Eqs.
+    11-12 bit for bit.
+    """
     random = np.random.default_rng(width)
     now, before = random.integers(0, 256, (2, height, width, 3), np.uint8)
     camera = random_camera(random, width, height)
     depth, history = random_depth(random, camera), random_depth(random, camera, noise=0.05)
     program = program_of(camera, [view_of(camera, depth, now)], Remembered(-1, camera, (camera,)))
-    options, c, t = OnlineOptions(lambda_t=0.9, mask_channels=channels, history_tolerance=0.02), program.constants, program.tables
+    options, c, t = (
+        OnlineOptions(lambda_t=0.9, mask_channels=channels, history_tolerance=0.02),
+        program.constants,
+        program.tables,
+    )
     out, past = torch.empty_like(program.depths), (tensor(before)[None], tensor(history)[None])
-    there, _ = device_filter.filter_views(program.states[0].images, program.depths, past, c, t, options, out)
+    there, _ = device_filter.filter_views(
+        program.states[0].images, program.depths, past, c, t, options, out
+    )
     mask = difference_mask(now, before, channels=channels, lambda_t=0.9)
     assert np.ptp(mask) > 0
     np.testing.assert_allclose(there[0].numpy(), mask, atol=1e-6)
-    np.testing.assert_array_equal(out[0].numpy(), filter_depth(depth, history, there[0].numpy(), 0.02))
+    np.testing.assert_array_equal(
+        out[0].numpy(), filter_depth(depth, history, there[0].numpy(), 0.02)
+    )
     weights = device_filter.weigh_depths(program.depths, c, t)
     np.testing.assert_array_equal(weights[0].numpy(), fusion_weights(depth, TAU, 0.001))
 
 
 def test_pairs_without_room_are_counted(rig, monkeypatch):
-    """What is too much is lost, how crowded it is is told, and views that are sorted in groups have the same bits."""
+    """What is too much is lost, how crowded it is is told, and views that are sorted in groups have
+    the same bits.
+    """
     given = rig.images, rig.depths, rig.masks, rig.program.constants, rig.program.tables
     needed = float(rig.there.crowding)
     enough, tight = (device_splat.splat_views(*given, room) for room in (needed, needed / 3))
@@ -121,27 +165,52 @@ def test_pairs_without_room_are_counted(rig, monkeypatch):
 
 @pytest.mark.parametrize("skip_empty", [True, False])
 def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
-    """Depth and weight of every ray, with and without the depth of the instant before, whatever is skipped."""
-    cameras, depths = [source.camera for source in rig.sources], [source.depth for source in rig.sources]
+    """Depth and weight of every ray, with and without the depth of the instant before, whatever is
+    skipped.
+    """
+    cameras, depths = (
+        [source.camera for source in rig.sources],
+        [source.depth for source in rig.sources],
+    )
     weights = [fusion_weights(depth, TAU, 0.001) for depth in depths]
     stack = device_filter.weigh_depths(rig.depths, rig.program.constants, rig.program.tables)
     for k, weight in enumerate(weights):
-        np.testing.assert_array_equal(stack[k, : weight.shape[0], : weight.shape[1]].numpy(), weight)
+        np.testing.assert_array_equal(
+            stack[k, : weight.shape[0], : weight.shape[1]].numpy(), weight
+        )
     here = ray_march(rig.target, cameras, depths, weights, tau=TAU)
     assert (here.depth > 0).mean() > 0.8
     gain = np.random.default_rng(1).random(here.depth.shape, dtype=np.float32)
     moved = replace(rig.target, world_to_camera=cameras[0].world_to_camera)
     later = ray_march(
-        rig.target, cameras, depths, weights, tau=TAU, previous=PreviousDepth(moved, here.depth, here.weight, gain, 0.7)
+        rig.target,
+        cameras,
+        depths,
+        weights,
+        tau=TAU,
+        previous=PreviousDepth(moved, here.depth, here.weight, gain, 0.7),
     )
     assert not np.array_equal(here.depth, later.depth)
     second = program_of(rig.target, rig.sources, Remembered(0, moved, tuple(cameras)), index=1)
-    nothing, out = torch.full(here.depth.shape, -1.0), (torch.empty(here.depth.shape), torch.empty(here.depth.shape))
+    nothing, out = (
+        torch.full(here.depth.shape, -1.0),
+        (torch.empty(here.depth.shape), torch.empty(here.depth.shape)),
+    )
     for program, past, gains, found in (
         (rig.program, (nothing, nothing), nothing, here),
         (second, (tensor(here.depth), tensor(here.weight)), tensor(gain), later),
     ):
-        march.march(rig.depths, stack, past, gains, program.constants, program.tables, (0.1, 0.7), out, skip_empty)
+        march.march(
+            rig.depths,
+            stack,
+            past,
+            gains,
+            program.constants,
+            program.tables,
+            (0.1, 0.7),
+            out,
+            skip_empty,
+        )
         np.testing.assert_array_equal(out[0].numpy(), found.depth)
         np.testing.assert_array_equal(out[1].numpy(), found.weight)
 
@@ -153,21 +222,38 @@ def darkened(image: Image8, camera: Camera, gain: float) -> Image8:
 
 
 def test_gains_and_fall_off():
-    """Both are those of the compiled path, at first and from memory, and there is a fall-off to be found."""
+    """Both are those of the compiled path, at first and from memory, and there is a fall-off to be
+    found.
+    """
     compensation, before = ExposureCompensation(), None
     state = None
     for instant in room_instants():
-        dark = [darkened(view.image, view.camera, 1.06 - 0.03 * k) for k, view in enumerate(instant.sources)]
-        instant = replace(instant, sources=tuple(replace(v, image=d) for v, d in zip(instant.sources, dark, strict=True)))
+        dark = [
+            darkened(view.image, view.camera, 1.06 - 0.03 * k)
+            for k, view in enumerate(instant.sources)
+        ]
+        instant = replace(
+            instant,
+            sources=tuple(replace(v, image=d) for v, d in zip(instant.sources, dark, strict=True)),
+        )
         tau = 0.05 * instant.units_per_metre
         program = program_of(instant.target, list(instant.sources), before, index=instant.index)
         options = OnlineOptions(tau_m=0.05)
-        program.constants.fill(instant, instant.sources, options, instant.target.far, before, range(1, 7))
+        program.constants.fill(
+            instant, instant.sources, options, instant.target.far, before, range(1, 7)
+        )
         seen, out = compensation.step(instant, tau), program.states[0].exposure
         given = program.constants, program.tables
         state = state or program.states[1].exposure
-        found = exposure.estimate_exposure(program.states[0].images, program.depths, state, *given, out)
-        state, before = out, Remembered(instant.index, instant.target, tuple(view.camera for view in instant.sources))
+        found = exposure.estimate_exposure(
+            program.states[0].images, program.depths, state, *given, out
+        )
+        state, before = (
+            out,
+            Remembered(
+                instant.index, instant.target, tuple(view.camera for view in instant.sources)
+            ),
+        )
         assert float(out.lens[1]) == pytest.approx(compensation.slope, abs=1e-4)
         images = exposure.compensate(program.states[0].images, found).numpy()
         off = np.abs(images.astype(int) - np.stack([view.image for view in seen.sources]))
@@ -176,10 +262,14 @@ def test_gains_and_fall_off():
     assert compensation.slope < -0.1
     assert np.ptp(found.gains.numpy()) > 0.02
     assert not found.odd.any()
-    image = np.random.default_rng(0).random((instant.target.height, instant.target.width, 3), dtype=np.float32)
+    image = np.random.default_rng(0).random(
+        (instant.target.height, instant.target.width, 3), dtype=np.float32
+    )
     shown = exposure.show_fall_off(tensor(np.moveaxis(image, 2, 0)), found).permute(1, 2, 0)
     corner = float(program.constants.lens[0])
-    np.testing.assert_allclose(shown.numpy(), fallen_off(image, instant.target, compensation.slope, corner), atol=1e-3)
+    np.testing.assert_allclose(
+        shown.numpy(), fallen_off(image, instant.target, compensation.slope, corner), atol=1e-3
+    )
 
 
 def rendered(method, instants):
@@ -201,9 +291,11 @@ def on_device():
 
 
 def assert_alike(there, here, share=0.999):
-    """At least 99.9 % of the pixels within a level, of the depths within 1e-4 of the depth; the same diagnostics.
+    """At least 99.9 % of the pixels within a level, of the depths within 1e-4 of the depth; the
+    same diagnostics.
 
-    Ten times as many may differ of the diagnostics: their cells are coarse, and the network's weights feel a depth far around it.
+    Ten times as many may differ of the diagnostics: their cells are coarse, and the network's
+    weights feel a depth far around it.
     """
     assert there.image.dtype == here.image.dtype == np.float32
     assert (np.abs(there.image - here.image).max(axis=-1) <= LEVEL).mean() >= share
@@ -212,7 +304,9 @@ def assert_alike(there, here, share=0.999):
     assert there.diagnostics.keys() == here.diagnostics.keys()
     for name, values in there.diagnostics.items():
         if values.shape == here.diagnostics[name].shape:
-            assert (np.abs(values - here.diagnostics[name]) <= 1e-3 * (1 + np.abs(values))).mean() >= 1 - 10 * (1 - share), name
+            assert (
+                np.abs(values - here.diagnostics[name]) <= 1e-3 * (1 + np.abs(values))
+            ).mean() >= 1 - 10 * (1 - share), name
 
 
 def test_the_demo_room_is_rendered_alike(on_device, compiled):
@@ -224,13 +318,17 @@ def test_the_demo_room_is_rendered_alike(on_device, compiled):
 
 def test_half_precision_is_within_a_tenth_of_a_level(on_device):
     """What a GPU computes by default, in the network alone; depth is not touched."""
-    for half, single in zip(rendered(DeviceGuided(precision="half"), room_instants()), on_device, strict=True):
+    for half, single in zip(
+        rendered(DeviceGuided(precision="half"), room_instants()), on_device, strict=True
+    ):
         assert 0 < 255 * np.abs(half.image - single.image).max() < 0.1
         np.testing.assert_array_equal(half.depth, single.depth)
 
 
 def test_equal_inputs_give_equal_bits(on_device):
-    """From run to run, where there was not room enough for the pairs at first, and of the picture alone, in 8 bit."""
+    """From run to run, where there was not room enough for the pairs at first, and of the picture
+    alone, in 8 bit.
+    """
     tight = DeviceGuided()
     tight._per_gaussian = 0.1
     for method in (DeviceGuided(), tight):
@@ -255,7 +353,11 @@ def test_options_mean_the_same(changed):
     """What the options switch off, or read otherwise, is switched off on the device too."""
     instants = room_instants()[:2]
     options = OnlineOptions(**changed)
-    for there, here in zip(rendered(DeviceGuided(options), instants), rendered(compiled_path(options), instants), strict=True):
+    for there, here in zip(
+        rendered(DeviceGuided(options), instants),
+        rendered(compiled_path(options), instants),
+        strict=True,
+    ):
         assert_alike(there, here)
 
 
@@ -273,10 +375,14 @@ def walks() -> dict[str, list[Instant]]:
     return {
         "a gap": [first, third, replace(third, index=3)],
         "a target that moves": numbered(first, replace(second, target=moved), third),
-        "another size": numbered(first, replace(second, target=second.target.resized(75, 50)), third),
+        "another size": numbered(
+            first, replace(second, target=second.target.resized(75, 50)), third
+        ),
         "a lost source": numbered(first, replace(second, sources=second.sources[:3]), third),
         "another source": numbered(
-            replace(first, sources=first.sources[:3]), replace(second, sources=swapped), replace(third, sources=third.sources[1:])
+            replace(first, sources=first.sources[:3]),
+            replace(second, sources=swapped),
+            replace(third, sources=third.sources[1:]),
         ),
         "a source of another size": numbered(
             first, replace(second, sources=(small_view(second.sources[0]), *second.sources[1:]))
@@ -288,16 +394,25 @@ def small_view(view):
     """What a camera of the same name and half the pixels sees."""
     camera = view.camera.resized(56, 42)
     return replace(
-        view, camera=camera, image=view.image[::2, ::2], depth=view.depth[::2, ::2], confidence=view.confidence[::2, ::2]
+        view,
+        camera=camera,
+        image=view.image[::2, ::2],
+        depth=view.depth[::2, ::2],
+        confidence=view.confidence[::2, ::2],
     )
 
 
 @pytest.mark.parametrize("name", list(walks()))
 def test_a_walk_is_that_of_the_compiled_path(name):
-    """After a gap nothing shows through, a target or a source that is new has no past, and all others keep theirs."""
-    # Four depths that a last bit decides are a thousandth of the smaller picture, and the network looks at what surrounds them.
+    """After a gap nothing shows through, a target or a source that is new has no past, and all
+    others keep theirs.
+    """
+    # Four depths that a last bit decides are a thousandth of the smaller picture, and the network
+    # looks at what surrounds them.
     instants = walks()[name]
-    for there, here in zip(rendered(DeviceGuided(), instants), rendered(compiled_path(), instants), strict=True):
+    for there, here in zip(
+        rendered(DeviceGuided(), instants), rendered(compiled_path(), instants), strict=True
+    ):
         assert_alike(there, here, share=0.99)
 
 
@@ -307,12 +422,16 @@ def test_two_synthesizers_do_not_mix(on_device):
     ahead.step(instants[0])
     for index, instant in enumerate(instants):
         if index + 1 < len(instants):
-            np.testing.assert_array_equal(ahead.step(instants[index + 1]).image, on_device[index + 1].image)
+            np.testing.assert_array_equal(
+                ahead.step(instants[index + 1]).image, on_device[index + 1].image
+            )
         np.testing.assert_array_equal(behind.step(instant).image, on_device[index].image)
 
 
 def test_a_source_that_is_black_is_left_out():
-    """For an instant, by the rule of the compiled path; it stays within a level of what that shows in nine of ten pixels."""
+    """For an instant, by the rule of the compiled path; it stays within a level of what that shows
+    in nine of ten pixels.
+    """
     first, second, _ = room_instants()
     black = replace(second.sources[1], image=np.zeros_like(second.sources[1].image))
     instants = [first, replace(second, sources=(second.sources[0], black, *second.sources[2:]))]
@@ -352,17 +471,28 @@ def test_medians_are_those_of_numpy():
 
 @pytest.mark.parametrize("kernels", [device_filter, march, picture, registration, device_splat])
 def test_kernels_compile_for_a_gpu(kernels, tmp_path):
-    """To code for a Hopper GPU that rounds as the CPU does: each product before it is added; nothing is atomic."""
+    """To code for a Hopper GPU that rounds as the CPU does: each product before it is added;
+    nothing is atomic.
+    """
     wp.compile_aot_module(kernels, arch=90, module_dir=tmp_path, use_ptx=True)
     (file,) = tmp_path.glob("*.ptx")
-    instructions = [line.split()[0] for line in file.read_text("latin-1").splitlines() if line.startswith("\t") and line.strip()]
+    instructions = [
+        line.split()[0]
+        for line in file.read_text("latin-1").splitlines()
+        if line.startswith("\t") and line.strip()
+    ]
     assert "mul.rn.f32" in instructions
-    wrong = re.compile("atom|red\\." if kernels is picture else r"fma|.*\.approx|.*\.f64|atom|red\.")  # that one has exponentials
+    # that one has exponentials
+    wrong = re.compile(
+        "atom|red\\." if kernels is picture else r"fma|.*\.approx|.*\.f64|atom|red\."
+    )
     assert [each for each in instructions if wrong.match(each)] == []
 
 
 class HostReads(TorchDispatchMode):
-    """Notes every operation that a GPU could not begin before the host has read what it computed."""
+    """Notes every operation that a GPU could not begin before the host has read what it
+    computed.
+    """
 
     def __init__(self):
         super().__init__()
@@ -373,13 +503,21 @@ class HostReads(TorchDispatchMode):
         masked = name in ("index", "index_put") and any(
             each is not None and each.dtype in (torch.bool, torch.uint8) for each in arguments[1]
         )
-        if masked or name in ("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim"):
+        if masked or name in (
+            "_local_scalar_dense",
+            "nonzero",
+            "masked_select",
+            "_unique2",
+            "unique_dim",
+        ):
             self.names.append(name)
         return function(*arguments, **(keywords or {}))
 
 
 def test_nothing_is_read_back_before_the_picture(monkeypatch):
-    """Between upload and picture no value and no array goes to the host, nor comes from it, once the tables are made."""
+    """Between upload and picture no value and no array goes to the host, nor comes from it, once
+    the tables are made.
+    """
     method, reads = DeviceGuided(), HostReads()
     compute = DeviceGuided._compute
 
@@ -388,7 +526,9 @@ def test_nothing_is_read_back_before_the_picture(monkeypatch):
         warm = program.warm and before is program.states[1 - after]  # what a GPU records
         with monkeypatch.context() as patch, reads:
             for name in ("numpy", "cpu", "tolist", "item", "__bool__", "__int__", "__float__"):
-                patch.setattr(torch.Tensor, name, lambda *_, name=name, **__: reads.names.append(name))
+                patch.setattr(
+                    torch.Tensor, name, lambda *_, name=name, **__: reads.names.append(name)
+                )
             if warm:
                 patch.setattr(torch, "from_numpy", lambda _: reads.names.append("from_numpy"))
                 patch.setattr(torch, "tensor", lambda *_, **__: reads.names.append("tensor"))
@@ -407,14 +547,18 @@ def test_nothing_is_read_back_before_the_picture(monkeypatch):
 
 
 def test_warp_allocates_nothing_in_a_warm_step(monkeypatch):
-    """What it allocates within a recording would be freed there; torch's tensors lie in the recording's own memory."""
+    """What it allocates within a recording would be freed there; torch's tensors lie in the
+    recording's own memory.
+    """
     from warp._src import context
 
     method, found = DeviceGuided(), []
     rendered(method, room_instants()[:2])
     allocate = context.CpuDefaultAllocator.allocate
     monkeypatch.setattr(
-        context.CpuDefaultAllocator, "allocate", lambda *given, **named: found.append(1) or allocate(*given, **named)
+        context.CpuDefaultAllocator,
+        "allocate",
+        lambda *given, **named: found.append(1) or allocate(*given, **named),
     )
     method.step(room_instants()[2])
     assert found == []
@@ -432,14 +576,19 @@ def test_too_many_views_and_readings_that_were_dropped_are_refused():
 
 @pytest.fixture
 def gpu_is_the_cpu(monkeypatch):
-    """A GPU named cuda that is Warp's and torch's CPU device: what is chosen for it can be made and run."""
+    """A GPU named cuda that is Warp's and torch's CPU device: what is chosen for it can be made and
+    run.
+    """
     for module in (step, network_blender):
         monkeypatch.setattr(module, "compute_device", lambda name: CPU)
-    monkeypatch.setattr(compute_device, "compute_device", torch.device)  # what the command line asks
+    # what the command line asks
+    monkeypatch.setattr(compute_device, "compute_device", torch.device)
 
 
 def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
-    """`--device cuda` chooses it by the method's label, for runs and live; without Warp the network alone computes there."""
+    """`--device cuda` chooses it by the method's label, for runs and live; without Warp the network
+    alone computes there.
+    """
     on_gpu = NetworkOptions(device="cuda")
     for label in ("ours", "ours+no-temporal", "ours+beta_temporal=0.6"):
         assert isinstance(find_method(label, on_gpu).make(), DeviceGuided)
@@ -450,12 +599,20 @@ def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
     cameras = [view.camera for view in instants[0].sources]
     synthesizer = OnlineSynthesizer(cameras, 4, instants[0].units_per_metre, "ours", "cuda")
     for instant, there in zip(instants, on_device, strict=True):
-        images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
+        images, depths = (
+            {view.camera.name: getattr(view, what) for view in instant.sources}
+            for what in ("image", "depth")
+        )
         shown = synthesizer.step(images, depths, instant.target)
         np.testing.assert_array_equal(shown.image, there.image)
     synthesizer.restart()
     for instant, there in zip(instants, on_device, strict=True):
-        images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
-        np.testing.assert_array_equal(synthesizer.show(images, depths, instant.target), quantise(there.image))
+        images, depths = (
+            {view.camera.name: getattr(view, what) for view in instant.sources}
+            for what in ("image", "depth")
+        )
+        np.testing.assert_array_equal(
+            synthesizer.show(images, depths, instant.target), quantise(there.image)
+        )
     monkeypatch.setattr(online_methods, "DEVICE_PARTS", {})  # Warp or contrib/warp was taken away
     assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)

@@ -1,4 +1,6 @@
-"""On a GPU: methods with networks render what they render on the CPU, and samples are what they are there, but for a little."""
+"""On a GPU: methods with networks render what they render on the CPU, and samples are what they are
+there, but for a little.
+"""
 
 from dataclasses import replace
 
@@ -14,18 +16,36 @@ from helpers.device_scenes import room_instants
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig
 
-pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")]
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here"),
+]
 
-LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "mvsplat", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
+LEARNED = (
+    "fwd",
+    "ibrnet",
+    "gps-gaussian+given-depth",
+    "enerf",
+    "mvsplat",
+    "ours",
+    "ours+no-tsdf",
+    "ours+no-temporal",
+    "naive",
+)
 LEVEL = 1 / 255
 
 
 @pytest.mark.parametrize("views", [2, 4])
 @pytest.mark.parametrize("label", LEARNED)
 def test_a_render_is_that_of_the_cpu(label, views):
-    """All but a few pixels within a level, and the same stages; the few lie where rounding decides between two surfaces."""
+    """All but a few pixels within a level, and the same stages; the few lie where rounding decides
+    between two surfaces.
+    """
     moment = turned_rig(views)
-    here, there = (find_method(label, NetworkOptions(device=device)).make().step(moment) for device in ("cpu", "cuda"))
+    here, there = (
+        find_method(label, NetworkOptions(device=device)).make().step(moment)
+        for device in ("cpu", "cuda")
+    )
     off = np.abs(here.image - there.image).max(axis=-1)
     assert there.image.dtype == np.float32
     assert there.image.shape == here.image.shape
@@ -43,10 +63,17 @@ def test_a_render_is_that_of_the_cpu(label, views):
 @pytest.mark.parametrize("label", ["ours", "fwd"])
 def test_both_devices_may_take_turns(label):
     """Networks of two devices in one process do not get mixed up, and a sequence stays together."""
-    target, sources = camera_at(0.0, name="virtual"), [camera_at(x, y) for x, y in ((-0.3, 0.1), (0.3, -0.1), (0.1, 0.3))]
-    methods = [find_method(label, NetworkOptions(device=device)).make() for device in ("cpu", "cuda")]
+    target, sources = (
+        camera_at(0.0, name="virtual"),
+        [camera_at(x, y) for x, y in ((-0.3, 0.1), (0.3, -0.1), (0.1, 0.3))],
+    )
+    methods = [
+        find_method(label, NetworkOptions(device=device)).make() for device in ("cpu", "cuda")
+    ]
     for index in range(3):
-        images = [method.step(instant(index, target, sources, 0.1 * index)).image for method in methods]
+        images = [
+            method.step(instant(index, target, sources, 0.1 * index)).image for method in methods
+        ]
         assert (np.abs(images[0] - images[1]).max(axis=-1) > LEVEL).mean() < 0.005
 
 
@@ -57,13 +84,24 @@ def test_a_gpu_is_named():
 
 
 def test_the_whole_step_is_played_from_a_recording():
-    """With Warp the room is rendered on the GPU as on the CPU, twice the same, launched or played, and by half precision too."""
-    pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+    """With Warp the room is rendered on the GPU as on the CPU, twice the same, launched or played,
+    and by half precision too.
+    """
+    pytest.importorskip(
+        "warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'"
+    )
     from ggvs_eval.contrib.warp.step import DeviceGuided
 
     first = room_instants()
-    instants = [replace(moment, index=index) for index, moment in enumerate([*first, *first[1:], *first[1:]])]
-    methods = DeviceGuided(device="cuda"), DeviceGuided(device="cuda"), DeviceGuided(device="cuda", recorded=False)
+    instants = [
+        replace(moment, index=index)
+        for index, moment in enumerate([*first, *first[1:], *first[1:]])
+    ]
+    methods = (
+        DeviceGuided(device="cuda"),
+        DeviceGuided(device="cuda"),
+        DeviceGuided(device="cuda", recorded=False),
+    )
     compiled = find_method("ours").make()
     for moment in instants:
         there, again, launched = (method.step(moment) for method in methods)
@@ -78,10 +116,16 @@ def test_the_whole_step_is_played_from_a_recording():
 
 
 def test_training_samples_are_those_of_the_cpu():
-    """With Warp every map of a sample, and the picture that the network has to beat, is computed on the GPU."""
-    pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+    """With Warp every map of a sample, and the picture that the network has to beat, is computed on
+    the GPU.
+    """
+    pytest.importorskip(
+        "warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'"
+    )
     for moment in room_instants()[:2]:
-        (here, picture), (there, same) = (rendered_views(moment, device) for device in ("cpu", "cuda"))
+        (here, picture), (there, same) = (
+            rendered_views(moment, device) for device in ("cpu", "cuda")
+        )
         assert there.sources == here.sources
         pairs = [(getattr(there, name), getattr(here, name)) for name in (*OF_VIEWS, "fused_depth")]
         for found, expected in (*pairs, (same, picture)):

@@ -1,4 +1,6 @@
-"""A page shows what faulty renders would look like and score without their fault, and ranks none of it."""
+"""A page shows what faulty renders would look like and score without their fault, and ranks none of
+it.
+"""
 
 import base64
 import json
@@ -46,9 +48,13 @@ def run(quick) -> RunFolder:
     """Its two sets of renders, scored: one of them shows every frame an instant late."""
     protocol = quick_protocol()
     short = replace(protocol, views=replace(protocol.views, test=(VIEW,)))
-    cheap = replace(short, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=False))
+    cheap = replace(
+        short, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=False)
+    )
     (quick / "cheap.toml").write_text(cheap.to_toml(), encoding="utf-8")
-    with run_for(quick / "run", lambda: open_capture(quick / QUICK_ROOM), str(quick / "cheap.toml"), 1) as made:
+    with run_for(
+        quick / "run", lambda: open_capture(quick / QUICK_ROOM), str(quick / "cheap.toml"), 1
+    ) as made:
         for label, folder in (("mine", FIXED), ("late", LATE)):
             import_renders(made, label, quick / folder)
     score(made)
@@ -61,11 +67,15 @@ def page(run) -> Path:
 
 
 def picture(address: str) -> Image8:
-    return cv2.imdecode(np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    return cv2.imdecode(
+        np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR
+    )[..., ::-1]
 
 
 def test_frames_and_score_of_a_late_set_without_its_fault(quick, run, page):
-    """Frames move by an instant, the last one is missing; one sentence has both scores, standings have the honest set alone."""
+    """Frames move by an instant, the last one is missing; one sentence has both scores, standings
+    have the honest set alone.
+    """
     text = page.read_text(encoding="utf-8")
     data = json.loads(re.search(r'data-role="data">(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
 
@@ -76,7 +86,11 @@ def test_frames_and_score_of_a_late_set_without_its_fault(quick, run, page):
         handed_in = read_image(frame_path(quick / LATE / VIEW, frame + 1))
         assert np.abs(picture(address).astype(float) - handed_in).mean() < WEBP_255
     assert np.ptp(picture(missing)) == 0
-    found = re.search(r"PSNR as handed in ([\d.]+) dB; frames renumbered by -1 \(certain\) ([\d.]+) dB; not ranked", text)
+    found = re.search(
+        r"PSNR as handed in ([\d.]+) dB; frames renumbered by -1 \(certain\) ([\d.]+) dB; not "
+        r"ranked",
+        text,
+    )
     assert found
     assert float(found[2]) - float(found[1]) > 3
     assert text.count('data-role="undone"') == 1
@@ -85,11 +99,20 @@ def test_frames_and_score_of_a_late_set_without_its_fault(quick, run, page):
 
 
 def test_what_is_undone_follows_scores_and_what_if(run, monkeypatch):
-    """A method without a fault is left as it is; `what-if` adds the methods that it finds a fault in, and takes them back."""
-    monkeypatch.setattr(what_if_page, "_undone", lambda _run, label: UndoneRenders(label, "", lambda _view, _frame: None))
+    """A method without a fault is left as it is; `what-if` adds the methods that it finds a fault
+    in, and takes them back.
+    """
+    monkeypatch.setattr(
+        what_if_page,
+        "_undone",
+        lambda _run, label: UndoneRenders(label, "", lambda _view, _frame: None),
+    )
     measured = read_run(run.root)
     assert list(undo_faults(measured)) == ["late"]
-    clean = replace(measured, results=replace(measured.results, provenance=measured.results.provenance | {"faults": []}))
+    clean = replace(
+        measured,
+        results=replace(measured.results, provenance=measured.results.provenance | {"faults": []}),
+    )
     assert undo_faults(clean) == {}
     try:
         keep_for_page(run, {"late": True})
@@ -102,7 +125,9 @@ def test_what_is_undone_follows_scores_and_what_if(run, monkeypatch):
 
 
 def test_a_switch_undoes_the_fault_in_the_comparison(started, page):
-    """The box undoes the side that shows the method, or the left one; it follows the choice of pictures."""
+    """The box undoes the side that shows the method, or the left one; it follows the choice of
+    pictures.
+    """
     sides = "['left', 'right'].map(role => document.querySelector(`[data-role=${role}]`).value)"
     checked = "document.querySelector('[data-role=undone]').checked"
     started.visit(page)
@@ -114,5 +139,7 @@ def test_a_switch_undoes_the_fault_in_the_comparison(started, page):
     assert started.run(sides) == ["late", "truth"]
     started.choose("[data-role=right]", "late/undone")
     assert started.run(checked)
-    assert started.run("document.querySelector('[data-role=over]').src").startswith("data:image/webp")
+    assert started.run("document.querySelector('[data-role=over]').src").startswith(
+        "data:image/webp"
+    )
     assert started.complaints() == []

@@ -1,4 +1,6 @@
-"""The demo in the layout of every data set: files as they are distributed, read back by plain readers and by the adapters."""
+"""The demo in the layout of every data set: files as they are distributed, read back by plain
+readers and by the adapters.
+"""
 
 import json
 import shutil
@@ -14,8 +16,20 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, read_exact_depth
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, WORLD_TO_ROOM, PixelGrid, in_metres, render_depth
-from ggvs_eval.contrib.worlds.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
+from ggvs_eval.contrib.worlds.film.raycast import (
+    UNITS_PER_METRE,
+    WORLD_TO_ROOM,
+    PixelGrid,
+    in_metres,
+    render_depth,
+)
+from ggvs_eval.contrib.worlds.film.shots import (
+    FISHEYE_LENS,
+    LENS,
+    distorted_shots,
+    hand_held_shots,
+    rig_shots,
+)
 from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
@@ -26,10 +40,13 @@ from ggvs_eval.synthetic.d3dmv_scene import MEDIAN_FRAMES, median_background
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 # One instant; rgbd has two poses of it.
-QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
+QUICK = replace(
+    TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0
+)
 WRONG = {"calibration_error_px": 2.0, "focal_error": (("cam00", 1.05),)}
 METRIC = ("enerf-outdoor", "rgbd", "immersive", "panoptic")
-# Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec gives it back.
+# Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec
+# gives it back.
 JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
 
@@ -89,7 +106,11 @@ def assert_same_cameras(cameras, others):
 
 
 def contents(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 @pytest.mark.slow
@@ -106,7 +127,9 @@ def contents(folder):
     ],
 )
 def test_reading_back_gives_the_same_images(demo, layout, loss):
-    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5 and PNG."""
+    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5
+    and PNG.
+    """
     capture = open_capture(demo(layout))
     for name, frames in zip(capture.camera_names, rendered(layout), strict=True):
         for image, frame in zip(capture.frames(name), frames, strict=True):
@@ -116,7 +139,9 @@ def test_reading_back_gives_the_same_images(demo, layout, loss):
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_reading_back_gives_the_wrong_calibration_that_was_asked_for(quick, layout):
-    """`open_capture` detects the layout and its unit, and a planted error of focal length and rotation is in what it reads."""
+    """`open_capture` detects the layout and its unit, and a planted error of focal length and
+    rotation is in what it reads.
+    """
     wrong, true = quick_options(layout), shots_of(quick_options(layout))[0].camera
     capture = open_capture(quick(layout))
     cameras = capture.cameras
@@ -161,32 +186,54 @@ def read_yaml(path, names):
 
 @pytest.mark.slow
 def test_easymocap_files_hold_the_rig_in_metres(demo):
-    """OpenCV reads of every camera K (the first pixel is at 0), distortion, size, rotation in both forms, and metres."""
+    """OpenCV reads of every camera K (the first pixel is at 0), distortion, size, rotation in both
+    forms, and metres.
+    """
     names = ["00", "01", "02", "03"]
-    intrinsics, extrinsics = (read_yaml(demo("enerf-outdoor") / file, names) for file in ("intri.yml", "extri.yml"))
+    intrinsics, extrinsics = (
+        read_yaml(demo("enerf-outdoor") / file, names) for file in ("intri.yml", "extri.yml")
+    )
     for name, shot in zip(names, distorted_shots(TINY), strict=True):
         focal = shot.camera.focal_px
-        np.testing.assert_array_equal(intrinsics(f"K_{name}").mat(), [[focal, 0, 31.5], [0, focal, 23.5], [0, 0, 1]])
-        np.testing.assert_array_equal(intrinsics(f"dist_{name}").mat(), np.array(shot.lens)[:, None])
+        np.testing.assert_array_equal(
+            intrinsics(f"K_{name}").mat(), [[focal, 0, 31.5], [0, focal, 23.5], [0, 0, 1]]
+        )
+        np.testing.assert_array_equal(
+            intrinsics(f"dist_{name}").mat(), np.array(shot.lens)[:, None]
+        )
         assert (intrinsics(f"H_{name}").real(), intrinsics(f"W_{name}").real()) == (48, 64)
-        np.testing.assert_allclose(cv2.Rodrigues(extrinsics(f"R_{name}").mat())[0], shot.camera.rotation, atol=1e-12)
+        np.testing.assert_allclose(
+            cv2.Rodrigues(extrinsics(f"R_{name}").mat())[0], shot.camera.rotation, atol=1e-12
+        )
         np.testing.assert_array_equal(extrinsics(f"Rot_{name}").mat(), shot.camera.rotation)
-        np.testing.assert_allclose(extrinsics(f"T_{name}").mat(), shot.camera.translation[:, None] / UNITS_PER_METRE, atol=1e-12)
+        np.testing.assert_allclose(
+            extrinsics(f"T_{name}").mat(),
+            shot.camera.translation[:, None] / UNITS_PER_METRE,
+            atol=1e-12,
+        )
 
 
 @pytest.mark.slow
 def test_easymocap_images_read_back_undistorted(demo):
-    """The adapter's images are nearer to those of a pinhole than the images on disk are, at every camera and frame."""
+    """The adapter's images are nearer to those of a pinhole than the images on disk are, at every
+    camera and frame.
+    """
     capture = open_capture(demo("enerf-outdoor"))
-    for number, (name, frames) in enumerate(zip(capture.camera_names, rendered("d3dmv"), strict=True)):
+    for number, (name, frames) in enumerate(
+        zip(capture.camera_names, rendered("d3dmv"), strict=True)
+    ):
         for index, (image, frame) in enumerate(zip(capture.frames(name), frames, strict=True)):
-            on_disk = read_image(demo("enerf-outdoor") / "images" / f"{number:02d}" / f"{index:06d}.jpg")
+            on_disk = read_image(
+                demo("enerf-outdoor") / "images" / f"{number:02d}" / f"{index:06d}.jpg"
+            )
             assert mean_difference(image, frame.image) < 0.5 * mean_difference(on_disk, frame.image)
 
 
 @pytest.mark.slow
 def test_fisheye_videos_read_back_undistorted(demo):
-    """The adapter's images are nearer to those of a pinhole than the fisheye's on disk are, at every camera and frame."""
+    """The adapter's images are nearer to those of a pinhole than the fisheye's on disk are, at
+    every camera and frame.
+    """
     capture = open_capture(demo("immersive"))
     for name, frames in zip(capture.camera_names, rendered("d3dmv"), strict=True):
         on_disk = VideoFrames(demo("immersive") / f"{name}.mp4").frames(0, TINY.n_frames)
@@ -201,27 +248,42 @@ def lens_camera():
 
 @pytest.mark.parametrize(("model", "coefficients"), [("opencv", LENS), ("fisheye", FISHEYE_LENS)])
 def test_rays_of_the_lens_are_exact(lens_camera, model, coefficients):
-    """Points on the rays of the distorted pixels are imaged by OpenCV's model at the centres of these pixels."""
-    rays = PixelGrid(lens_camera, coefficients).rays.astype(np.float64) @ WORLD_TO_ROOM[:3, :3] * UNITS_PER_METRE**2
+    """Points on the rays of the distorted pixels are imaged by OpenCV's model at the centres of
+    these pixels.
+    """
+    rays = (
+        PixelGrid(lens_camera, coefficients).rays.astype(np.float64)
+        @ WORLD_TO_ROOM[:3, :3]
+        * UNITS_PER_METRE**2
+    )
     uv, depth = lens_camera.project(lens_camera.centre + rays)
     lens = Lens(lens_camera.K, model, coefficients, *lens_camera.size)
 
     np.testing.assert_allclose(depth, 1.0, atol=1e-6)
-    np.testing.assert_allclose(lens.distort(uv, lens_camera.K), lens_camera.pixel_centres().reshape(-1, 2), atol=1e-3)
+    np.testing.assert_allclose(
+        lens.distort(uv, lens_camera.K), lens_camera.pixel_centres().reshape(-1, 2), atol=1e-3
+    )
 
 
 @pytest.mark.slow
 def test_masks_and_hulls_hold_what_moves(demo):
-    """Frames differ from the background in the mask and hardly elsewhere; what moves lies in the frame's bounds, metres."""
+    """Frames differ from the background in the mask and hardly elsewhere; what moves lies in the
+    frame's bounds, metres.
+    """
     folder = demo("enerf-outdoor")
-    image, background = (read_image(folder / name).astype(int) for name in ("images/00/000001.jpg", "bkgd/00.jpg"))
+    image, background = (
+        read_image(folder / name).astype(int) for name in ("images/00/000001.jpg", "bkgd/00.jpg")
+    )
     mask = cv2.imread(str(folder / "mask/00/000001.png"), cv2.IMREAD_UNCHANGED)
     assert mask.shape == (48, 64)
     assert set(np.unique(mask)) == {0, 255}
     changed = np.abs(image - background).mean(axis=-1)
     assert changed[mask == 255].mean() > 5 * changed[mask == 0].mean()
 
-    camera, bounds = in_metres(distorted_shots(TINY)[0].camera), np.load(folder / "vhull/000001.npy")
+    camera, bounds = (
+        in_metres(distorted_shots(TINY)[0].camera),
+        np.load(folder / "vhull/000001.npy"),
+    )
     depth = read_exact_depth(folder, "cam00", 1).astype(np.float64)
     empty = render_depth(lit_room(TINY.seed).empty(), rig_shots(TINY)[0].camera) / UNITS_PER_METRE
     moving = camera.unproject(camera.pixel_centres(), depth)[depth < empty - 1e-3]
@@ -233,7 +295,9 @@ def test_masks_and_hulls_hold_what_moves(demo):
 
 @pytest.mark.slow
 def test_background_points_lie_on_the_empty_room(demo):
-    """The first camera's points project to its pixel centres at the depth of the room without what moves, in metres."""
+    """The first camera's points project to its pixel centres at the depth of the room without what
+    moves, in metres.
+    """
     content = (demo("enerf-outdoor") / "background.ply").read_bytes()
     head, body = content.split(b"end_header\n", 1)
     count = int(head.split(b"element vertex ")[1].split()[0])
@@ -249,23 +313,36 @@ def test_background_points_lie_on_the_empty_room(demo):
 
 @pytest.mark.slow
 def test_d3dmv_file_is_as_distributed(demo):
-    """Frames lossless in chunks of one image, the foreground with its alpha, the median background; poses of twice the size."""
+    """Frames lossless in chunks of one image, the foreground with its alpha, the median background;
+    poses of twice the size.
+    """
     with h5py.File(demo("d3dmv") / "scene000.h5") as file:
         chunks = {"rgb": (1, 1, 48, 64, 3), "fg_rgb": (1, 1, 48, 64, 4), "bg_rgb": (1, 48, 64, 3)}
         assert {key: data.chunks for key, data in file.items()} == chunks
-        assert all(data.dtype == np.uint8 and data.shuffle and data.compression == "lzf" for data in file.values())
+        assert all(
+            data.dtype == np.uint8 and data.shuffle and data.compression == "lzf"
+            for data in file.values()
+        )
         for row, frames in enumerate(rendered("d3dmv")):
             np.testing.assert_array_equal(file["rgb"][row], [frame.image for frame in frames])
             foreground = file["fg_rgb"][row]
-            np.testing.assert_array_equal(foreground[..., 3], [quantise(frame.foreground) for frame in frames])
-            np.testing.assert_array_equal(foreground[..., :3], file["rgb"][row] * (foreground[..., 3:] > 0))
+            np.testing.assert_array_equal(
+                foreground[..., 3], [quantise(frame.foreground) for frame in frames]
+            )
+            np.testing.assert_array_equal(
+                foreground[..., :3], file["rgb"][row] * (foreground[..., 3:] > 0)
+            )
             np.testing.assert_array_equal(file["bg_rgb"][row], np.median(file["rgb"][row], axis=0))
     sizes = np.load(demo("d3dmv") / "scene000_pb.npy")[:, :15].reshape(-1, 3, 5)[..., 4]
-    np.testing.assert_allclose(sizes, [(96, 128, 2 * shot.camera.focal_px) for shot in rig_shots(TINY)])
+    np.testing.assert_allclose(
+        sizes, [(96, 128, 2 * shot.camera.focal_px) for shot in rig_shots(TINY)]
+    )
 
 
 def test_median_of_long_films_takes_few_frames():
-    """Of 65 frames every third is taken, so that memory has a bound, and the odd one out does not show."""
+    """Of 65 frames every third is taken, so that memory has a bound, and the odd one out does not
+    show.
+    """
     frames = np.full((65, 2, 2, 3), 7, np.uint8)
     frames[1::3] = 200
     frames[0] = 90
@@ -275,15 +352,30 @@ def test_median_of_long_films_takes_few_frames():
 
 
 def read_model(folder):
-    """Cameras with their sightings {point: uv}, and points with their tracks, of a COLMAP model in text."""
-    lines = {name: (folder / f"{name}.txt").read_text().splitlines() for name in ("cameras", "images", "points3D")}
+    """Cameras with their sightings {point: uv}, and points with their tracks, of a COLMAP model in
+    text.
+    """
+    lines = {
+        name: (folder / f"{name}.txt").read_text().splitlines()
+        for name in ("cameras", "images", "points3D")
+    }
     cameras = []
-    for line, pose, sights in zip(lines["cameras"], lines["images"][::2], lines["images"][1::2], strict=True):
+    for line, pose, sights in zip(
+        lines["cameras"], lines["images"][::2], lines["images"][1::2], strict=True
+    ):
         _, model, width, height, *intrinsics = line.split()
         assert model == "PINHOLE"
         _, w, x, y, z, *translation, _, name = pose.split()
         numbers = np.array(sights.split(), float).reshape(-1, 3)
-        cameras.append((name, (int(width), int(height), *map(float, intrinsics)), (w, x, y, z), translation, numbers))
+        cameras.append(
+            (
+                name,
+                (int(width), int(height), *map(float, intrinsics)),
+                (w, x, y, z),
+                translation,
+                numbers,
+            )
+        )
     points = {int(line.split()[0]): line.split()[1:] for line in lines["points3D"]}
     return cameras, points
 
@@ -295,13 +387,17 @@ def depth_at(instant, camera: Camera, uv):
 
 @pytest.mark.proof
 def test_colmap_points_are_seen_where_the_model_says(demo):
-    """Hundreds of points, each in at least two tracks; sightings are exact, and what is not sighted is hidden."""
+    """Hundreds of points, each in at least two tracks; sightings are exact, and what is not sighted
+    is hidden.
+    """
     cameras, points = read_model(demo("colmap") / "sparse" / "0")
     place = {number: np.array(values[:3], float) for number, values in points.items()}
     assert 300 < len(points) <= 600
     assert all(len(values) >= 7 + 2 * 2 for values in points.values())
     instant = recall(0)
-    for image, (shot, (name, _, _, _, sights)) in enumerate(zip(rig_shots(TINY), cameras, strict=True), 1):
+    for image, (shot, (name, _, _, _, sights)) in enumerate(
+        zip(rig_shots(TINY), cameras, strict=True), 1
+    ):
         assert name == f"{shot.camera.name}.png"
         for row, (u, v, number) in enumerate(sights):
             uv, depth = shot.camera.project(place[int(number)])
@@ -317,7 +413,9 @@ def test_colmap_points_are_seen_where_the_model_says(demo):
 
 @pytest.mark.slow
 def test_colmap_error_is_that_of_the_wrong_cameras(demo, quick):
-    """The points' reprojection error is 0 with the true calibration and about the planted error of 2 with a wrong one."""
+    """The points' reprojection error is 0 with the true calibration and about the planted error of
+    2 with a wrong one.
+    """
     models = [read_model(write("colmap") / "sparse" / "0") for write in (demo, quick)]
     errors_px = [np.mean([float(values[6]) for values in points.values()]) for _, points in models]
 
@@ -327,15 +425,26 @@ def test_colmap_error_is_that_of_the_wrong_cameras(demo, quick):
 
 @pytest.mark.slow
 def test_rgbd_files_are_as_exported(demo):
-    """Unpadded names, camera-to-world metres, 16-bit millimetres at the depth camera's own pixel centres, 4 x 4 intrinsics."""
+    """Unpadded names, camera-to-world metres, 16-bit millimetres at the depth camera's own pixel
+    centres, 4 x 4 intrinsics.
+    """
     folder = demo("rgbd")
-    depth_K, colour_K = (np.loadtxt(folder / "intrinsic" / f"intrinsic_{kind}.txt")[:3, :3] for kind in ("depth", "color"))
+    depth_K, colour_K = (
+        np.loadtxt(folder / "intrinsic" / f"intrinsic_{kind}.txt")[:3, :3]
+        for kind in ("depth", "color")
+    )
     np.testing.assert_allclose(np.diag([2, 2, 1]) @ depth_K, colour_K)
     for kind in ("depth", "color"):
-        np.testing.assert_array_equal(np.loadtxt(folder / "intrinsic" / f"extrinsic_{kind}.txt"), np.eye(4))
-    for index, (shot, frames) in enumerate(zip(hand_held_shots(replace(TINY, layout="rgbd")), rendered("rgbd"), strict=True)):
+        np.testing.assert_array_equal(
+            np.loadtxt(folder / "intrinsic" / f"extrinsic_{kind}.txt"), np.eye(4)
+        )
+    for index, (shot, frames) in enumerate(
+        zip(hand_held_shots(replace(TINY, layout="rgbd")), rendered("rgbd"), strict=True)
+    ):
         pose = np.loadtxt(folder / "pose" / f"{index}.txt")
-        np.testing.assert_allclose(pose, np.linalg.inv(in_metres(shot.camera).world_to_camera), atol=1e-9)
+        np.testing.assert_allclose(
+            pose, np.linalg.inv(in_metres(shot.camera).world_to_camera), atol=1e-9
+        )
         millimetres = cv2.imread(str(folder / "depth" / f"{index}.png"), cv2.IMREAD_UNCHANGED)
         assert (millimetres.dtype, millimetres.shape) == (np.uint16, (24, 32))
         sensor = replace(shot.camera, K=depth_K, width=32, height=24)

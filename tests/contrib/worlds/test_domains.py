@@ -1,4 +1,6 @@
-"""Domains: what each option of their captures does, and that training and validation film what they say."""
+"""Domains: what each option of their captures does, and that training and validation film what they
+say.
+"""
 
 import json
 from dataclasses import replace
@@ -26,14 +28,30 @@ from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_o
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
 from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, render_depth
-from ggvs_eval.contrib.worlds.film.shots import defocus, denoise, hand_held_shots, mosaic_and_back, rig_of, rig_sensors, sharpen
+from ggvs_eval.contrib.worlds.film.shots import (
+    defocus,
+    denoise,
+    hand_held_shots,
+    mosaic_and_back,
+    rig_of,
+    rig_sensors,
+    sharpen,
+)
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from helpers.refusals import refused
 from helpers.scenes import render_view
 
 pytestmark = pytest.mark.usefixtures("lit_quickly")
-SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
+SMALL = DemoOptions(
+    width=96,
+    height=72,
+    n_frames=3,
+    cameras_per_row=2,
+    path_poses=0,
+    supersampling=1,
+    depth_stride=0,
+)
 # At 3326e7f, before there were domains.
 PLAIN_NOISE, PLAIN_SPREAD = 0.7496200160267352, 0.012452947166492987
 WALK = replace(SMALL, layout="rgbd", n_frames=4, fps=3.0, noise_sigma_255=0.0, exposure_spread=0.0)
@@ -57,8 +75,12 @@ def developed(image: np.ndarray, **options: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", DOMAINS)
-def test_every_domain_is_filmed_as_it_says_in_validation_and_at_random_in_training(name: str) -> None:
-    """Validation has the strengths that are written; training draws them within their limits, another for each seed."""
+def test_every_domain_is_filmed_as_it_says_in_validation_and_at_random_in_training(
+    name: str,
+) -> None:
+    """Validation has the strengths that are written; training draws them within their limits,
+    another for each seed.
+    """
     domain, usual = DOMAINS[name], domain_options(name, VALIDATION_SEEDS[0])
     assert (usual.width, usual.height) == domain.size
     for option, value in domain.options.items():
@@ -72,7 +94,9 @@ def test_every_domain_is_filmed_as_it_says_in_validation_and_at_random_in_traini
 
 
 def test_the_plain_domain_is_the_room_that_networks_have_always_learned_from() -> None:
-    """Seed 1000 keeps the noise and the exposure that it had before there were domains; samples of each domain have a folder."""
+    """Seed 1000 keeps the noise and the exposure that it had before there were domains; samples of
+    each domain have a folder.
+    """
     room = room_options(1000, RoomPlan())
     assert (room.noise_sigma_255, room.exposure_spread) == (PLAIN_NOISE, PLAIN_SPREAD)
     folders = {BlendKind().folder(RoomPlan(domain=name)) for name in DOMAINS}
@@ -81,13 +105,23 @@ def test_the_plain_domain_is_the_room_that_networks_have_always_learned_from() -
 
 def test_options_that_came_later_do_not_change_the_description_of_old_demos() -> None:
     """demo.json of usual options names none of them, of others those that differ."""
-    usual, closer = (json.loads(_description(options))["options"] for options in (SMALL, replace(SMALL, spacing=0.5)))
+    usual, closer = (
+        json.loads(_description(options))["options"]
+        for options in (SMALL, replace(SMALL, spacing=0.5))
+    )
     assert not set(LATER) & set(usual)
     assert set(LATER) & set(closer) == {"spacing"}
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"spacing": 0.0}, {"defocus_px": -1.0}, {"jpeg_quality": 101}, {"shutter_s": 0.01}, {"scene": "sea"}]
+    "wrong",
+    [
+        {"spacing": 0.0},
+        {"defocus_px": -1.0},
+        {"jpeg_quality": 101},
+        {"shutter_s": 0.01},
+        {"scene": "sea"},
+    ],
 )
 def test_options_that_cannot_be_filmed_are_refused(wrong: dict[str, float]) -> None:
     """Each by a message that names it."""
@@ -97,16 +131,23 @@ def test_options_that_cannot_be_filmed_are_refused(wrong: dict[str, float]) -> N
 
 @pytest.mark.parametrize("rig", ["rows", "grid"])
 def test_spacing_scales_the_distances_between_cameras(rig: str) -> None:
-    """A third of the spacing is a third of the distance, but for how exactly cameras are mounted."""
+    """A third of the spacing is a third of the distance, but for how exactly cameras are
+    mounted.
+    """
     options = replace(SMALL, cameras_per_row=12, rig=rig)
-    assert spacing_of(replace(options, spacing=0.33)) == pytest.approx(0.33 * spacing_of(options), rel=0.08)
+    assert spacing_of(replace(options, spacing=0.33)) == pytest.approx(
+        0.33 * spacing_of(options), rel=0.08
+    )
 
 
 @pytest.mark.slow
 def test_a_camera_that_stands_still_does_not_blur() -> None:
-    """With a shutter so short that nothing moves, the mean of all poses is the sharp picture; with a long one it is smoother."""
+    """With a shutter so short that nothing moves, the mean of all poses is the sharp picture; with
+    a long one it is smoother.
+    """
     sharp, still, moving = (
-        _first_picture(replace(WALK, width=48, height=36, shutter_s=shutter_s, sway=6.0)) for shutter_s in (0.0, 1e-7, 0.06)
+        _first_picture(replace(WALK, width=48, height=36, shutter_s=shutter_s, sway=6.0))
+        for shutter_s in (0.0, 1e-7, 0.06)
     )
     assert np.abs(sharp.astype(int) - still).max() <= 1
     detail = [cv2.Laplacian(image, cv2.CV_64F).var() for image in (sharp, moving)]
@@ -129,14 +170,20 @@ def test_poses_during_an_exposure_lie_around_the_pose_that_is_noted() -> None:
 
 @pytest.mark.parametrize("level", [0.1, 0.5, 0.9])
 def test_a_grey_card_stays_grey(level: float) -> None:
-    """Mosaic, white balance, demosaicing, denoising, sharpening and JPEG change the mean of no colour by more than a level."""
-    made = developed(grey_card(level=level), processing=1.0, defocus_px=1.0, jpeg_quality=90).astype(float)
+    """Mosaic, white balance, demosaicing, denoising, sharpening and JPEG change the mean of no
+    colour by more than a level.
+    """
+    made = developed(
+        grey_card(level=level), processing=1.0, defocus_px=1.0, jpeg_quality=90
+    ).astype(float)
     np.testing.assert_allclose(made.mean(axis=(0, 1)), 255 * level, atol=1.2)
     assert made.std() > 0.2
 
 
 def test_colours_survive_the_mosaic() -> None:
-    """Without noise a smooth picture of any colour comes back: the pattern of the mosaic is the one that demosaicing assumes."""
+    """Without noise a smooth picture of any colour comes back: the pattern of the mosaic is the one
+    that demosaicing assumes.
+    """
     colour = np.array([0.6, 0.3, 0.1], np.float32)
     back = mosaic_and_back(np.broadcast_to(colour, (32, 32, 3)), 0.0, np.random.default_rng(0))
     np.testing.assert_allclose(back, np.broadcast_to(colour, back.shape), atol=2e-4)
@@ -145,7 +192,10 @@ def test_colours_survive_the_mosaic() -> None:
 def test_raw_noise_grows_with_the_root_of_light() -> None:
     """Shot noise: four times the light has about twice the noise."""
     rng = np.random.default_rng(0)
-    spread = [mosaic_and_back(np.full((128, 128, 3), level, np.float32), 1.0, rng)[..., 1].std() for level in (0.15, 0.6)]
+    spread = [
+        mosaic_and_back(np.full((128, 128, 3), level, np.float32), 1.0, rng)[..., 1].std()
+        for level in (0.15, 0.6)
+    ]
     assert spread[1] / spread[0] == pytest.approx(2.0, rel=0.15)
 
 
@@ -183,10 +233,14 @@ def test_defocus_spreads_a_point_into_a_disc() -> None:
 
 @pytest.mark.slow
 def test_depth_is_shifted_by_the_pixels_that_are_asked_for() -> None:
-    """Phase correlation of the misplaced with the exact depth map measures the offset; written down is the exact sensor."""
+    """Phase correlation of the misplaced with the exact depth map measures the offset; written down
+    is the exact sensor.
+    """
     options = replace(WALK, width=192, height=144, depth_offset_px=6.0)
     room, camera = lit_room(options.seed).at(0.0), hand_held_shots(options)[0].camera
-    exact, shifted = (1 / render_depth(room, each) for each in (camera, misplaced(options, camera, options.width)))
+    exact, shifted = (
+        1 / render_depth(room, each) for each in (camera, misplaced(options, camera, options.width))
+    )
     window = cv2.createHanningWindow((192, 144), cv2.CV_32F)
     (dx, dy), _ = cv2.phaseCorrelate(exact, shifted, window)
     assert np.hypot(dx, dy) == pytest.approx(6.0, abs=0.3)
@@ -204,11 +258,15 @@ def test_a_turned_sensor_of_depth_looks_elsewhere_by_its_angle() -> None:
 def test_a_late_sensor_of_depth_measures_from_an_earlier_pose() -> None:
     """One frame of delay is the pose of the frame before."""
     shots = hand_held_shots(replace(WALK, depth_delay_s=1 / WALK.fps))
-    np.testing.assert_allclose(shots[2].depth_pose.world_to_camera, shots[1].camera.world_to_camera, atol=1e-9)
+    np.testing.assert_allclose(
+        shots[2].depth_pose.world_to_camera, shots[1].camera.world_to_camera, atol=1e-9
+    )
 
 
 def test_noise_of_measured_depth_grows_with_its_square_and_edges_are_lost() -> None:
-    """On a wall at 1 m the standard deviation is the one asked for, at 2 m four times as much; a step is unknown."""
+    """On a wall at 1 m the standard deviation is the one asked for, at 2 m four times as much; a
+    step is unknown.
+    """
     options = replace(WALK, depth_noise=0.004)
     for metres in (1.0, 2.0):
         wall = np.full((80, 80), metres * UNITS_PER_METRE, np.float32)
@@ -221,7 +279,9 @@ def test_noise_of_measured_depth_grows_with_its_square_and_edges_are_lost() -> N
 
 @pytest.mark.slow
 def test_a_garden_has_thin_foliage_before_a_far_background() -> None:
-    """Depth spans more than a factor of eight, near things are thin, and every ray ends somewhere."""
+    """Depth spans more than a factor of eight, near things are thin, and every ray ends
+    somewhere.
+    """
     camera = rig_of(replace(SMALL, width=160, height=120))[0]
     garden = lit_room(101, "garden").at(0.0)
     image, depth = render_view(garden, camera, 1)
@@ -240,8 +300,13 @@ TINY_DOMAINS = ("narrow", "handheld", "misplaced_depth")
 
 @pytest.mark.proof
 def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
-    """Each domain is rendered into its own folder, and its samples stand one after another, sensors' depth included."""
-    plans = [replace(plan, width=96, height=72) for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")]
+    """Each domain is rendered into its own folder, and its samples stand one after another,
+    sensors' depth included.
+    """
+    plans = [
+        replace(plan, width=96, height=72)
+        for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")
+    ]
     pool = SamplePool(tmp_path, BlendKind(), plans)
     assert len(pool) == 3
     for job in pool.jobs():
@@ -255,8 +320,12 @@ def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
 
 @pytest.mark.proof
 def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
-    """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
-    whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
+    """It shows what the whole sample shows there, for the network and for the baselines, whose
+    sources are cut to it.
+    """
+    whole = replace(
+        domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None
+    )
     part = replace(whole, window=(64, 48))
     kinds = (BlendKind(), whole), (BlendKind(), part), (InstantKind(), part)
     pools = [SamplePool(tmp_path, kind, [plan]) for kind, plan in kinds]
@@ -267,7 +336,9 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     assert (width, height) == (64, 48)
     assert (window.truth == sample.truth[top : top + 48, left : left + 64]).all()
     assert (window.views.fused_depth == sample.views.cropped(left, top, 64, 48).fused_depth).all()
-    np.testing.assert_allclose(window.views.target.K[:2, 2], sample.views.target.K[:2, 2] - (left, top))
+    np.testing.assert_allclose(
+        window.views.target.K[:2, 2], sample.views.target.K[:2, 2] - (left, top)
+    )
     assert (instant.truth == window.truth).all()
     assert part.least_size == (64, 48)
 
@@ -295,7 +366,9 @@ def walk(tmp_path_factory) -> Capture:
 
 @pytest.mark.slow
 def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(walk: Capture) -> None:
-    """Frames of one part are further than the span from those of the other, and keep their depth."""
+    """Frames of one part are further than the span from those of the other, and keep their
+    depth.
+    """
     capture = walk
     first, last = held_back_halves(capture, span=3, most_overlap=1.0)
     assert [camera.name for camera in first.cameras] == [f"{number:06d}" for number in range(6)]
@@ -309,10 +382,15 @@ def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(walk: Capture) -> 
 
 @pytest.mark.slow
 def test_what_the_camera_comes_back_to_is_not_held_back(walk: Capture) -> None:
-    """Frames of which a learned frame sees more than the share are in neither part; a walk around one place has no other."""
+    """Frames of which a learned frame sees more than the share are in neither part; a walk around
+    one place has no other.
+    """
     capture = walk
     first, last = held_back_halves(capture, 3, most_overlap=1.0)
-    shares = {camera.name: max(overlap(camera, learned) for learned in first.cameras) for camera in last.cameras}
+    shares = {
+        camera.name: max(overlap(camera, learned) for learned in first.cameras)
+        for camera in last.cameras
+    }
     middle = sorted(shares.values())[1]
     kept = held_back_halves(capture, 3, most_overlap=middle)[1]
     assert list(kept.camera_names) == [name for name, share in shares.items() if share <= middle]

@@ -10,7 +10,13 @@ import pytest
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, read_exact_depth
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, eye_in_room, rays_in_room, rig, sideways_path
+from ggvs_eval.contrib.worlds.film.raycast import (
+    UNITS_PER_METRE,
+    eye_in_room,
+    rays_in_room,
+    rig,
+    sideways_path,
+)
 from ggvs_eval.contrib.worlds.film.shots import camera_gains, rig_shots
 from ggvs_eval.contrib.worlds.room.lighting import LitRoom
 from ggvs_eval.contrib.worlds.room.room import build_room
@@ -45,7 +51,11 @@ def film(options, camera, instants):
 
 
 def digests(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 @pytest.mark.slow
@@ -58,7 +68,9 @@ def test_same_options_give_same_bytes(demo, tmp_path, workers):
 
 @pytest.mark.slow
 def test_layout_is_dynerf(demo):
-    """One video per pose row, rows in the order of the sorted names; exact depth, path and description beside them."""
+    """One video per pose row, rows in the order of the sorted names; exact depth, path and
+    description beside them.
+    """
     poses = np.load(demo / "poses_bounds.npy")
     videos = sorted(demo.glob("*.mp4"))
     assert [video.name for video in videos] == [f"cam{index:02d}.mp4" for index in range(4)]
@@ -66,15 +78,22 @@ def test_layout_is_dynerf(demo):
     assert poses.dtype == np.float64
     assert {VideoFrames(video).n_frames for video in videos} == {3}
     assert np.load(demo / "path" / "poses_bounds.npy").shape == (2, 17)
-    assert sorted(path.name for path in (demo / "path" / "images").iterdir()) == ["0000.png", "0001.png"]
+    assert sorted(path.name for path in (demo / "path" / "images").iterdir()) == [
+        "0000.png",
+        "0001.png",
+    ]
     assert json.loads((demo / "demo.json").read_text())["units_per_metre"] == UNITS_PER_METRE
 
 
 @pytest.mark.slow
 def test_poses_follow_llff(demo):
-    """Read back by the LLFF rules, the rows are rotations with determinant +1 and the rig's cameras."""
+    """Read back by the LLFF rules, the rows are rotations with determinant +1 and the rig's
+    cameras.
+    """
     rows = np.load(demo / "poses_bounds.npy")
-    for row, camera in zip(rows, rig(TINY.seed, TINY.width, TINY.height, TINY.cameras_per_row), strict=True):
+    for row, camera in zip(
+        rows, rig(TINY.seed, TINY.width, TINY.height, TINY.cameras_per_row), strict=True
+    ):
         down, right, back, centre, (height, width, focal) = row[:15].reshape(3, 5).T
         camera_to_world = np.stack([right, down, -back], axis=1)
         assert np.linalg.det(camera_to_world) == pytest.approx(1.0)
@@ -97,13 +116,17 @@ def test_depth_file_holds_the_rendered_depth(demo):
 
 
 def test_rig_is_like_the_real_one(cameras):
-    """Two rows 2.75 units apart, about 1.1 units between neighbours, axes up to 30..40 degrees from cam00's in the middle."""
+    """Two rows 2.75 units apart, about 1.1 units between neighbours, axes up to 30..40 degrees from
+    cam00's in the middle.
+    """
     order = [[*range(11, 6, -1), 0, *range(6, 0, -1)], list(range(23, 11, -1))]
     centres = np.stack([camera.centre for camera in cameras])
     for row in order:
         steps = np.diff(centres[row], axis=0)
         assert (steps[:, 0] > 0.5).all()
-        assert 0.85 < np.linalg.norm(steps, axis=1).min() <= np.linalg.norm(steps, axis=1).max() < 1.4
+        assert (
+            0.85 < np.linalg.norm(steps, axis=1).min() <= np.linalg.norm(steps, axis=1).max() < 1.4
+        )
     assert centres[order[1], 1].mean() - centres[order[0], 1].mean() == pytest.approx(2.75, abs=0.1)
     angles = [np.degrees(np.arccos(camera.axis @ cameras[0].axis)) for camera in cameras[1:]]
     assert 30 < max(angles) < 40
@@ -112,7 +135,9 @@ def test_rig_is_like_the_real_one(cameras):
 
 @pytest.mark.slow
 def test_depth_equals_closed_form_on_the_walls(cameras, instants):
-    """No ray sees beyond the box of the room, and rays with nothing in their way end on it, as the slab formula says."""
+    """No ray sees beyond the box of the room, and rays with nothing in their way end on it, as the
+    slab formula says.
+    """
     _, depth = render_view(instants[0], cameras[0], 1)
     rays = rays_in_room(cameras[0]).astype(np.float64).reshape(120, 160, 3)
     low, high = instants[0].static.bounds
@@ -123,7 +148,9 @@ def test_depth_equals_closed_form_on_the_walls(cameras, instants):
 
 
 def reprojection(instant, source, target):
-    """Picture of `target`, that of `source` where its points project, whether they lie inside, and their relative depth error."""
+    """Picture of `target`, that of `source` where its points project, whether they lie inside, and
+    their relative depth error.
+    """
     image, depth = render_view(instant, target)
     other, other_depth = render_view(instant, source)
     points = target.unproject(target.pixel_centres(), depth.astype(np.float64))
@@ -147,8 +174,12 @@ def test_picture_and_depth_agree(cameras, instants):
 
 @pytest.mark.slow
 def test_something_moves_and_most_does_not(cameras, instants):
-    """In 0.4 s some percent of the pixels change clearly, in colour and in depth, and most keep their depth exactly."""
-    (image, depth), (later, later_depth) = (render_view(instant, cameras[0]) for instant in instants)
+    """In 0.4 s some percent of the pixels change clearly, in colour and in depth, and most keep
+    their depth exactly.
+    """
+    (image, depth), (later, later_depth) = (
+        render_view(instant, cameras[0]) for instant in instants
+    )
     assert 0.02 < (np.abs(later - image).max(axis=-1) > 0.1).mean() < 0.4
     assert 0.02 < (np.abs(later_depth - depth) > 0.5).mean() < 0.2
     assert (later_depth == depth).mean() > 0.8
@@ -157,7 +188,9 @@ def test_something_moves_and_most_does_not(cameras, instants):
 def test_exposure_differs_between_cameras_only_when_wanted():
     """The gains of the cameras spread as told, and are exactly 1 without a spread."""
     many = DemoOptions(cameras_per_row=500, exposure_spread=0.1)
-    assert camera_gains(many).mean(axis=1).std() == pytest.approx(0.1 * np.hypot(1, 0.5 / np.sqrt(3)), rel=0.1)
+    assert camera_gains(many).mean(axis=1).std() == pytest.approx(
+        0.1 * np.hypot(1, 0.5 / np.sqrt(3)), rel=0.1
+    )
     assert (camera_gains(CLEAN) == 1).all()
 
 
@@ -170,7 +203,9 @@ def test_rooms_of_the_tests_are_lit_as_all_rooms_are(instants):
 
 
 def test_path_moves_along_the_image_rows(cameras):
-    """The path keeps the orientation and moves along the camera's own x axis, so that a point keeps its image row."""
+    """The path keeps the orientation and moves along the camera's own x axis, so that a point keeps
+    its image row.
+    """
     path = sideways_path(cameras[0], 4.0, 5)
     uv = np.stack([camera.project(np.array([0.3, 0.2, 20.0]))[0] for camera in path])
     np.testing.assert_allclose(uv[:, 1], uv[0, 1])
@@ -202,7 +237,14 @@ def test_foreign_files_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("width", 63), ("n_frames", 0), ("cameras_per_row", 1), ("noise_sigma_255", -1.0), ("fps", 0.0)]
+    ("name", "value"),
+    [
+        ("width", 63),
+        ("n_frames", 0),
+        ("cameras_per_row", 1),
+        ("noise_sigma_255", -1.0),
+        ("fps", 0.0),
+    ],
 )
 def test_impossible_options_are_refused(name, value):
     """An option that cannot be rendered is refused with its value."""

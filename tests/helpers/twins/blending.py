@@ -32,7 +32,16 @@ def look_up_twin(
 ) -> NDArray[np.float64]:
     """What `ggvs_eval.geometry.look_up` computes: warp every view, then blend."""
     warped = [
-        warp_twin(target, target_depth, view.camera, view.image / 255.0, view.depth, tolerance, bicubic=True) for view in sources
+        warp_twin(
+            target,
+            target_depth,
+            view.camera,
+            view.image / 255.0,
+            view.depth,
+            tolerance,
+            bicubic=True,
+        )
+        for view in sources
     ]
     counts = [each.visibility * weight for each, weight in zip(warped, weights, strict=True)]
     foreground = weighted_mean_twin([each.colour for each in warped], counts)
@@ -41,16 +50,24 @@ def look_up_twin(
 
 
 def push_pull_twin(colour: Map, known: NDArray) -> Map:
-    """What `push_pull` computes; ``known`` is 0 or 1 at first, from 0 to 1 at the coarser levels."""
+    """What `push_pull` computes; ``known`` is 0 or 1 at first, from 0 to 1 at the coarser
+    levels.
+    """
     height, width = known.shape
     known = known.astype(np.float32)
     if min(height, width) < 2 or known.all():
         return colour
     size = ((width + 1) // 2, (height + 1) // 2)
     weight = _resize(known, size, cv2.INTER_AREA)
-    total = _resize(np.where(known[..., None] > 0, colour * known[..., None], np.float32(0)), size, cv2.INTER_AREA)
+    total = _resize(
+        np.where(known[..., None] > 0, colour * known[..., None], np.float32(0)),
+        size,
+        cv2.INTER_AREA,
+    )
     average = total / np.maximum(weight, np.float32(1e-6))[..., None]
-    filled = _resize(push_pull_twin(average, np.minimum(weight * 4, 1)), (width, height), cv2.INTER_LINEAR)
+    filled = _resize(
+        push_pull_twin(average, np.minimum(weight * 4, 1)), (width, height), cv2.INTER_LINEAR
+    )
     return np.where(known[..., None] > 0, filled + known[..., None] * (colour - filled), filled)
 
 

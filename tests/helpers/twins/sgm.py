@@ -4,14 +4,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 Costs = NDArray[np.int64]
-DIRECTIONS = (((1, 1), (1, 0), (1, -1), (0, 1)), ((-1, -1), (-1, 0), (-1, 1), (0, -1)))  # of both passes, (rows, columns)
+# of both passes, (rows, columns)
+DIRECTIONS = (((1, 1), (1, 0), (1, -1), (0, 1)), ((-1, -1), (-1, 0), (-1, 1), (0, -1)))
 
 
-def aggregate_twin(costs, guide, small_step, large_steps) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def aggregate_twin(
+    costs, guide, small_step, large_steps
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What `_stereo.aggregate` computes: the surface in planes and its margin."""
     passes = []
     for directions in DIRECTIONS:
-        paths = [path_costs(costs.astype(int), guide.astype(int), small_step, large_steps, *each) for each in directions]
+        paths = [
+            path_costs(costs.astype(int), guide.astype(int), small_step, large_steps, *each)
+            for each in directions
+        ]
         passes.append(mean(mean(paths[0], paths[1]), mean(paths[2], paths[3])))
     total = passes[0] + passes[1]
     surface, margin = np.empty(guide.shape, np.float32), np.empty(guide.shape, np.float32)
@@ -25,7 +31,9 @@ def mean(first: Costs, second: Costs) -> Costs:
     return (first + second + 1) // 2
 
 
-def path_costs(costs: Costs, guide: Costs, small_step: int, large_steps, down: int, across: int) -> Costs:
+def path_costs(
+    costs: Costs, guide: Costs, small_step: int, large_steps, down: int, across: int
+) -> Costs:
     """Costs of the paths that come from one direction."""
     height, width, _ = costs.shape
     found = np.zeros_like(costs)
@@ -54,7 +62,9 @@ def winner(total: Costs) -> tuple[np.float32, np.float32]:
     if not 0 < plane < len(total) - 1:
         return np.float32(plane), margin
     below, above = (np.float32(total[plane + side] - total[plane]) for side in (-1, 1))
-    fraction = np.float32(0.5) * (below - above) / (below + above) if below + above > 0 else np.float32(0)
+    fraction = (
+        np.float32(0.5) * (below - above) / (below + above) if below + above > 0 else np.float32(0)
+    )
     return np.float32(plane) + fraction, margin
 
 
@@ -62,9 +72,14 @@ def median_twin(surface, guide, planes, radius, colour_scale, tolerance) -> NDAr
     """What `_stereo.weighted_median` computes."""
     filtered = surface.copy()
     for row, column in np.ndindex(surface.shape):
-        window = slice(max(row - radius, 0), row + radius + 1), slice(max(column - radius, 0), column + radius + 1)
+        window = (
+            slice(max(row - radius, 0), row + radius + 1),
+            slice(max(column - radius, 0), column + radius + 1),
+        )
         values = surface[window].ravel()
-        difference = np.abs(guide[window].astype(int) - guide[row, column].astype(int)).sum(axis=-1).ravel()
+        difference = (
+            np.abs(guide[window].astype(int) - guide[row, column].astype(int)).sum(axis=-1).ravel()
+        )
         weights = np.exp(-difference / (3 * colour_scale))
         bins = np.clip((values + 0.5).astype(int), 0, planes - 1)
         below = np.cumsum(np.bincount(bins, weights, planes))

@@ -1,4 +1,6 @@
-"""The image-based TSDF in numpy and float64: its weights, and its march, which the package has as it can be read otherwise."""
+"""The image-based TSDF in numpy and float64: its weights, and its march, which the package has as
+it can be read otherwise.
+"""
 
 from functools import partial
 
@@ -10,7 +12,9 @@ from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 
 
 def fusion_weights_twin(depth: NDArray, tau: float, depth_noise: float) -> Array:
-    """Eqs. 11-12: omega = min(noise / sqrt(nu / 49), 1), nu = sum of min((D[u, v] - D[p, q])^2, tau^2) over 7 x 7 pixels."""
+    """Eqs. 11-12: omega = min(noise / sqrt(nu / 49), 1), nu = sum of min((D[u, v] - D[p, q])^2,
+    tau^2) over 7 x 7 pixels.
+    """
     invalid = 1e18  # as far from everything as invalid and outside neighbours count
     D = np.where(depth > 0, depth.astype(np.float64), invalid)
     padded = np.pad(D, 3, constant_values=invalid)

@@ -23,20 +23,35 @@ def warp_twin(
     """What `ggvs_eval.geometry.warp` computes."""
     size = (target.height, target.width)
     largest_px = source.focal_px * np.linalg.norm(source.centre - target.centre) / target.near
-    surface = np.where(target_depth > 0, target_depth, target.far * (0 < forgiven_px >= largest_px)).astype(np.float64)
+    surface = np.where(
+        target_depth > 0, target_depth, target.far * (0 < forgiven_px >= largest_px)
+    ).astype(np.float64)
     points = target.unproject(target.pixel_centres(), surface).reshape(-1, 3)
     uv, z = source.project(points)
-    seen = (surface.reshape(-1) > 0) & (z > 0) & (uv >= 0).all(axis=1) & (uv < [source.width, source.height]).all(axis=1)
+    seen = (
+        (surface.reshape(-1) > 0)
+        & (z > 0)
+        & (uv >= 0).all(axis=1)
+        & (uv < [source.width, source.height]).all(axis=1)
+    )
     uv = np.where(seen[:, None], uv, 0.5)
-    there = sample_depth(np.pad(source_depth, (0, 1), "edge"), *uv.T, tolerance)  # the kernel repeats the border
+    # the kernel repeats the border
+    there = sample_depth(np.pad(source_depth, (0, 1), "edge"), *uv.T, tolerance)
     agreement = np.clip(2 - np.abs(there - z) / tolerance, 0, 1) * (there > 0)
-    if forgiven_px:  # the error of depth that moves the point by `forgiven_px`; unknown depth is infinite
+    # the error of depth that moves the point by `forgiven_px`; unknown depth is infinite
+    if forgiven_px:
         inverse = np.divide(1, there, out=np.zeros(len(z)), where=there > 0)
-        moved_px = source.focal_px * np.linalg.norm(source.centre - target.centre) * np.abs(inverse - 1 / np.where(seen, z, 1))
+        moved_px = (
+            source.focal_px
+            * np.linalg.norm(source.centre - target.centre)
+            * np.abs(inverse - 1 / np.where(seen, z, 1))
+        )
         agreement = np.maximum(agreement, np.clip(2 - moved_px / forgiven_px, 0, 1))
     visibility = np.where(seen, agreement, 0.0)
     colour = np.where(seen[:, None], _sample_colour(image.astype(np.float64), uv, bicubic), 0.0)
-    return Warp(colour.reshape(*size, 3).astype(np.float32), visibility.reshape(size).astype(np.float32))
+    return Warp(
+        colour.reshape(*size, 3).astype(np.float32), visibility.reshape(size).astype(np.float32)
+    )
 
 
 def _sample_colour(image: Array, uv: Array, bicubic: bool) -> Array:
