@@ -45,7 +45,7 @@ class DepthMap:
     guess: Map | None = None
 
     def clean(self) -> "DepthMap":
-        """Return the same where depth `is_known`; elsewhere depth, guess and confidence are 0."""
+        """Return the map with depth, guess and confidence 0 wherever depth is not `is_known`."""
         mask, zero = is_known(self.depth), np.float32(0)
         guess = None if self.guess is None else np.where(is_known(self.guess), self.guess, zero)
         stray = ~mask & ((self.depth != 0) | (self.confidence != 0))

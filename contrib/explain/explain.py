@@ -298,9 +298,9 @@ def explanation_table(
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
-    """Return the name the convention of the number, apart from chance matches.
+    """Name the conventions that give the number, without those that match by chance.
 
-    Those over all views before those over one.
+    Conventions over all views come before those over one.
     """
     everywhere = [convention for convention in conventions if convention.views == ALL_VIEWS]
     number = printed(quoted)[0]

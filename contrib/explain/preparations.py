@@ -36,7 +36,7 @@ def video_luma(image: Image8) -> Planes:
 
 
 def grey(image: Image8) -> Image8:
-    """Return the Luma rounded to 8 bit, (H, W), as OpenCV and Pillow convert."""
+    """Luma rounded to 8 bit, (H, W), as OpenCV and Pillow convert."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 

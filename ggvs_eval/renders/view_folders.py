@@ -206,7 +206,7 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
 
 
 def instead_of_all(path: Path, request: FrameRequest) -> str:
-    """Return the same where no view is there at all."""
+    """Say what the folder has in place of views, where no view is there at all."""
     present = {
         file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0]
         for file in list_entries(path)

@@ -217,8 +217,9 @@ def channel_count(views: int, guidance: Guidance) -> int:
 
 
 def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.intp]:
-    """Return the number the channels of `count` views among those of a network made for `views`,
-    whose others are 0.
+    """Return the indices of the channels that `count` views fill, of a network made for `views`.
+
+    The other channels are 0.
     """
     guided = guidance in GUIDED
     # colours, then one of each other group

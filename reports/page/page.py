@@ -215,9 +215,7 @@ def _parts(blocks: Collection[str]) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """Return the name each run for the run selector: its title, with as much more as needed to
-    distinguish all runs.
-    """
+    """Name each run in the run selector by its title, and as much more as tells all runs apart."""
     runs = [(group, run) for group in groups for run in group.runs.values()]
     names = [
         [run.title for _, run in runs],

@@ -54,7 +54,7 @@ class QualityOverTime:
 def quality_over_time(
     column: Column, values: Sequence[tuple[str, float]], timings: Sequence[Table]
 ) -> QualityOverTime | None:
-    """Return the place each method that has a value and a time; None where fewer than two do.
+    """Place each method that has a value and a time; None where fewer than two have.
 
     Args:
         column: the metric.

@@ -339,7 +339,7 @@ def _fewer_frames(results: Results, metrics: Sequence[str], protocol: Protocol) 
 
 
 def _versions(results: Results) -> list[str]:
-    """Return the name the packages of which more than one version made these values."""
+    """Name the packages of which more than one version made these values."""
     versions = results.versions
     mixed = [
         f"{name} {version}"
