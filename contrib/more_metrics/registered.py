@@ -16,7 +16,7 @@ LEAST_COVERED = 0.5  # of the pixels compared, which a moved picture still has t
 def psnr_registered(rendered: Image8, truth: Image8, mask: Mask | None = None) -> float:
     """PSNR of one frame after the homography that lays it on the truth.
 
-    Where poses are off, every rendering lies beside the captured picture, and PSNR prefers the most
+    Where poses are off, every rendering is shifted against the capture, and PSNR prefers the most
     blurred one. This metric takes a motion of the whole picture out. It cannot see: a wrong focal
     length, shift or turn of the picture, whoever made it; and parallax of a camera at a wrong place
     remains. Interpolation at parts of a pixel smooths, so that a noisy picture gains up to 1.4 dB:

@@ -215,7 +215,7 @@ def _parts(blocks: Collection[str]) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """Name each run in the run selector by its title, and as much more as tells all runs apart."""
+    """Name each run in the run selector by its title, and what else distinguishes it."""
     runs = [(group, run) for group in groups for run in group.runs.values()]
     names = [
         [run.title for _, run in runs],
